@@ -53,7 +53,7 @@ WIDE = {
     "engine/kernels/native_probe.py": ["_probe"],
     "engine/lab/evaluate/cost/measuring.py": ["measure_size"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
-    "engine/lab/sim/variants/measuring.py": ["_row"],
+    "engine/lab/sim/variants/variant_table.py": ["_row"],
     "engine/raster/autograd.py": ["forward", "rasterize"],
     "engine/raster/cuda.py": ["rasterize"],
     "engine/records/record.py": ["make"],

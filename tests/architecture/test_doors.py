@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 
 from engine.lab.sim.scenario import KINDS
-from engine.lab.sim.scenario.bringing import Photos, Scans
-from engine.lab.sim.scenario.marking import Part
+from engine.lab.sim.scenario.sources import Part, Photos, Scans
 from tests.architecture.tree import ROOT, module_name, parse, product_files
 
 DOORS = ("engine.cli.", "engine.lab.cli.", "engine.lab.sim.scenario.", "service.")
 """Who opens a door to the simulator; what only measures (`engine.lab.evaluate`) is none."""
 
-MEASURING = {"engine.lab.sim.variants.measuring", "engine.lab.sim.variants.table4"}
+MEASURING = {"engine.lab.sim.variants.variant_table"}
 """Table 4; its door is `mark3dgs evaluate`."""
 
 TABLE = "## Parts and their doors"

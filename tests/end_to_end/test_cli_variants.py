@@ -11,7 +11,7 @@ import pytest
 
 from engine.flows.records.opened_record import open_record
 from engine.formats import encode_model, read_model, write_model
-from engine.lab.sim.variants.swaying import fit_spacetime, set_in_motion
+from engine.lab.sim.variants.synthetic import fit_spacetime, set_in_motion
 from engine.model import GaussianModel
 from engine.scenes.clip_marking import visible
 from engine.scenes.codebook_files import read_codebook, write_codebook

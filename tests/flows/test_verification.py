@@ -14,8 +14,8 @@ from engine.flows.verify.verification import VerifyConfig, verify_images, verify
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.truth import forge, wrong_key_rates
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
+from engine.lab.sim.adversaries.retraining import fine_tune
 from engine.lab.sim.attacks import image_attack, model_attack
-from engine.lab.sim.fine_tuning import fine_tune
 from engine.model import GaussianModel
 from engine.raster import render
 from engine.watermark.grain import roughen

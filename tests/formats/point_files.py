@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 
+import lzf
 import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float64
-from tests.reference.lzf import compress
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -19,7 +19,7 @@ TIMES = np.array([10.0, 10.25, 10.5, 11.0])
 
 
 def ply(points: Float64 = POINTS, colors: Bytes = COLORS, order: str = "<", faces: bool = False) -> bytes:
-    """Coloured points with intensity and time; order "" is ASCII."""
+    """Colored points with intensity and time; order "" is ASCII."""
     form = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
     lines = ["ply", f"format {form} 1.0", "comment by hand", f"element vertex {len(points)}"]
     lines += [f"property double {name}" for name in "xyz"]
@@ -40,7 +40,7 @@ def ply(points: Float64 = POINTS, colors: Bytes = COLORS, order: str = "<", face
 
 
 def pcd(points: Float64 = POINTS, colors: Bytes = COLORS, encoding: str = "binary", packed: str = "F") -> bytes:
-    """x y z, padding, packed colour (as float or integer), intensity, and time in integer nanoseconds."""
+    """x y z, padding, packed color (as float or integer), intensity, and time in integer nanoseconds."""
     n = len(points)
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ rgb intensity t\n"
@@ -64,7 +64,7 @@ def pcd(points: Float64 = POINTS, colors: Bytes = COLORS, encoding: str = "binar
         return header + b"".join(struct.pack("<3f4xIfQ", *p, s, i, t) for p, s, i, t in rows)
     columns = [*places.T, np.zeros((4, n), np.uint8), rgb.astype("<u4"), strength, stamps]
     body = b"".join(np.ascontiguousarray(column).tobytes() for column in columns)
-    squeezed = compress(body)
+    squeezed = lzf.compress(body, 2 * len(body) + 16)
     return header + struct.pack("<II", len(squeezed), len(body)) + squeezed
 
 

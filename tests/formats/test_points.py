@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import struct
+import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
-from engine.lab.points import lzf as fast_lzf
 from engine.lab.points.cloud import PointCloud
-from engine.lab.points.lzf import GROWTH, decompress
 from engine.lab.points.reading import read_point_cloud
 from tests.formats.point_files import COLORED, COLORS, INTENSITY, POINTS, TIMED, TIMES, las, pcd, ply
-from tests.reference import lzf
 
 FILES = {
     "ply little endian": ply(),
@@ -23,9 +23,9 @@ FILES = {
     "ply mesh": ply(faces=True),
     "ply ascii mesh": ply(order="", faces=True),
     "pcd ascii": pcd(encoding="ascii"),
-    "pcd ascii integer colours": pcd(encoding="ascii", packed="U"),
+    "pcd ascii integer colors": pcd(encoding="ascii", packed="U"),
     "pcd binary": pcd(),
-    "pcd binary integer colours": pcd(packed="U"),
+    "pcd binary integer colors": pcd(packed="U"),
     "pcd compressed": pcd(encoding="binary_compressed"),
     "las 1.2": las(),
     "las 1.3": las(minor=3, format=3),
@@ -71,13 +71,13 @@ def test_las_leaves_out_what_the_file_calls_noise(format: int) -> None:
         read_point_cloud(las(format=format, minor=4, classes=(7, 7, 7, 7)))
 
 
-def test_las_colours_of_eight_bits() -> None:
+def test_las_colors_of_eight_bits() -> None:
     cloud, (repair,) = read_point_cloud(las(bits=8))
     check(cloud)
     assert repair.code == "colors_scaled"
 
 
-def test_las_black_everywhere_means_no_colours() -> None:
+def test_las_black_everywhere_means_no_colors() -> None:
     assert read_point_cloud(las(colors=np.zeros_like(COLORS)))[0].colors is None
 
 
@@ -87,7 +87,7 @@ def test_las_may_go_on_where_it_says_so() -> None:
         read_point_cloud(las(minor=3, tail=b"waveform"))
 
 
-def test_colours_of_other_types() -> None:
+def test_colors_of_other_types() -> None:
     head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
 
     def read(kind: str, rows: str) -> tuple[PointCloud, list[str]]:
@@ -174,11 +174,11 @@ def test_a_changed_byte_never_does_worse_than_be_refused(name: str) -> None:
         (pcd().replace(b"WIDTH 4\n", b"WIDTH 4\nWIDTH 4\n"), "two lines 'WIDTH'"),
         (pcd().replace(b"VERSION", b"#" + b"x" * 70000 + b"\nVERSION"), "longer than 65536"),
         (pcd() + b"x", "1 bytes follow"),
-        (las()[:104] + bytes([3 | 128]) + las()[105:], "is LAZ"),
-        (las()[:104] + bytes([11]) + las()[105:], "point format 11"),
-        (las()[:25] + bytes([1]) + las()[26:], "LAS 1.1"),
+        (las()[:104] + bytes([3 | 128]) + las()[105:], "points cannot be unpacked"),
+        (las()[:104] + bytes([11]) + las()[105:], "LAS header cannot be read: 11"),
+        (las()[:25] + bytes([9]) + las()[26:], "LAS header cannot be read"),
         (las()[:107] + struct.pack("<I", 2**32 - 1) + las()[111:], "announces 4294967295 points"),
-        (las()[:105] + struct.pack("<H", 33) + las()[107:], "34 bytes a point"),
+        (las()[:105] + struct.pack("<H", 33) + las()[107:], "Incoherent point size"),
         (las()[:131] + struct.pack("<d", np.nan) + las()[139:], "scale"),
         (las()[:96] + struct.pack("<I", 100) + las()[100:], "inside the header"),
     ],
@@ -201,37 +201,65 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         read_point_cloud(tmp_path / "none.ply")
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_lzf_against_its_twin(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not compiled:
-        monkeypatch.setattr(fast_lzf, "_decompress", fast_lzf._decompress.py_func)
-    rng = np.random.default_rng(1)
-    for size in (1, 2, 40, 700):
-        for letters in (1, 2, 256):
-            data = rng.integers(letters, size=size, dtype=np.uint8).tobytes()
-            packed = lzf.compress(data)
-            assert lzf.decompress(packed) == data
-            assert decompress(packed, size, file="f").tobytes() == data
-    long_ago = rng.integers(256, size=6000, dtype=np.uint8).tobytes()
-    assert decompress(lzf.compress(long_ago[:300]) + bytes([31, *long_ago[:32]]), 332, file="f").tobytes() == (
-        long_ago[:300] + long_ago[:32]
-    )
+HEAD = pcd(encoding="binary_compressed").split(b"DATA binary_compressed\n")[0] + b"DATA binary_compressed\n"
+UNPACKED = 4 * 32
 
 
 @pytest.mark.parametrize(
-    ("stream", "size", "message"),
+    ("stream", "message"),
     [
-        (b"\x05ab", 6, "middle of an instruction"),
-        (b"\xe0", 9, "middle of an instruction"),
-        (b"\x00a\x20\x05", 4, "before its beginning"),
-        (b"\x00a\x20\x00", 2, "more than the header says"),
-        (b"\x00a\x20\x00", 5, "holds 4 bytes, expected 5"),
-        (b"\x00a", 2 * GROWTH + 1, "compressed to 2"),
+        (b"\x05ab", "is broken"),
+        (b"\xe0" + bytes(1), "is broken"),
+        (b"\x00a\x20\x05", "is broken"),
+        (b"\x00a\xe0\xff\x00", "holds more bytes"),
+        (b"\x00a\x20\x00", "holds 4 bytes, expected 128"),
+        (b"\x00", "128 bytes compressed to 1"),
     ],
 )
-def test_broken_lzf(stream: bytes, size: int, message: str) -> None:
+def test_broken_lzf(stream: bytes, message: str) -> None:
     with pytest.raises(FormatError, match=message):
-        decompress(stream, size, file="f")
+        read_point_cloud(HEAD + struct.pack("<II", len(stream), UNPACKED) + stream)
+
+
+def laz(count: int = 4) -> bytes:
+    laspy = pytest.importorskip("laspy")
+    with laspy.open(io.BytesIO(las(minor=4, format=7))) as reader:
+        stored = reader.read()
+    stored.points = stored.points[np.arange(count) % 4]
+    packed = io.BytesIO()
+    stored.write(packed, do_compress=True)
+    return packed.getvalue()
+
+
+def test_laz_says_the_same() -> None:
+    cloud, _ = read_point_cloud(laz())
+    check(cloud)
+
+
+def test_laz_that_claims_too_much_is_refused_before_it_is_unpacked() -> None:
+    data = bytearray(laz())
+    data[247:255] = struct.pack("<Q", 2**40)
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="announces 1099511627776 points"):
+        read_point_cloud(bytes(data))
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+
+
+def test_laz_whose_table_claims_memory_that_is_not_there_is_refused() -> None:
+    data = bytearray(laz())
+    (start,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, start)
+    data[table + 4 : table + 8] = struct.pack("<I", 2**32 - 1)  # chunks: 64 GiB of entries
+    with pytest.raises(FormatError, match="cannot be unpacked"):
+        read_point_cloud(bytes(data))
+
+
+@pytest.mark.parametrize(("module", "data"), [("laspy", las()), ("lazrs", laz()), ("lzf", FILES["pcd compressed"])])
+def test_a_missing_package_is_named(module: str, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=r"pip install 'mark3dgs\[capture\]'"):
+        read_point_cloud(data)
 
 
 def test_a_cloud_checks_its_shapes() -> None:

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.errors import FormatError, InputError
-from engine.lab.points.colmap import ColmapPoints, read_points
-from engine.lab.points.reconstruction import read_reconstruction
+from engine.lab.points.reconstruction import ColmapPoints, read_points, read_reconstruction
 from tests.formats.test_cameras_colmap import colmap_binary, colmap_text
 
 ROWS = [(7, 0.5, -1.25, 3e-3, 1, 2, 255, 0.75, [(1, 2), (3, 4)]), (2**40, 1e6, 2.0, -3.0, 0, 128, 9, -1.0, [])]

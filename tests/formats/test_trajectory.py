@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from engine.errors import FormatError, InputError
-from engine.lab.points.trajectory import Trajectory, parse_trajectory, read_trajectory, write_trajectory
+from engine.lab.points.trajectory import Trajectory, parse_trajectory, read_trajectory
 
 rng = np.random.default_rng(3)
 ROTATIONS = Rotation.random(5, rng=rng)
@@ -46,12 +46,10 @@ def test_both_kinds(text) -> None:
 
 
 @pytest.mark.parametrize("text", [tum, kitti])
-def test_written_and_read_again(text, tmp_path: Path) -> None:
-    trajectory = parse_trajectory(text().encode(), file="f")
-    assert write_trajectory(trajectory, tmp_path / "poses.txt") > 100
-    again = read_trajectory(tmp_path / "poses.txt")
-    np.testing.assert_allclose(again.matrices, trajectory.matrices, atol=1e-15 * 100)
-    assert (again.times is None) == (trajectory.times is None)
+def test_read_from_a_file(text, tmp_path: Path) -> None:
+    (tmp_path / "poses.txt").write_text(text())
+    found = read_trajectory(tmp_path / "poses.txt")
+    np.testing.assert_allclose(found.matrices, matrices(), atol=1e-12)
 
 
 def test_rotations_of_few_digits_become_true_ones() -> None:

@@ -30,7 +30,7 @@ OURS = {"engine", "service", "mark3dgs", "_typeshed", "backports", "compression"
 """And what is there for types, or in Python itself from 3.14 on and before that in a namespace that many share."""
 LATER = {"torch": "train", "gsplat": "cuda"}
 """Imported inside functions or by modules that only such functions import, behind a message of their own."""
-STUDIES = {"distributed", "imwatermark", "kiss_icp", "laspy", "lpips", "onnxruntime", "pycolmap", "pypcd4"}
+STUDIES = {"distributed", "imwatermark", "kiss_icp", "laspy", "lazrs", "lpips", "lzf", "onnxruntime", "pycolmap"}
 """What single studies and the capture import, behind a message of their own."""
 
 

@@ -1,4 +1,4 @@
-"""HDBSCAN by the book on all pairs: the specification of `engine.lab.sim.adversaries.density`."""
+"""HDBSCAN by the book on all pairs: the specification of `engine.lab.sim.adversaries.purification`."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import pytest
 from engine.errors import FormatError
 from engine.formats import read_model
 from engine.lab.sim.attacks import model_attack
-from engine.lab.sim.model_travels import foreign_scene
+from engine.lab.sim.model_placement import foreign_scene
 from engine.model import GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.registration.sketch import ALIKE, CROWD, PLACES, POINTS, Sketch, SuspectIndex, make_sketch

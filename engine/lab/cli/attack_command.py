@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -101,12 +101,12 @@ def attack(
     with console.progress() as progress:
         progress(name, 0.0)
         if picture:
-            report = _attack_picture(apply, target, out, int(used) if name == "jpeg" else JPEG_QUALITY)
+            done = _attack_picture(apply, target, out, int(used) if name == "jpeg" else JPEG_QUALITY)
         else:
             if name == "convert" and value is None:  # the output's own format is the conversion
                 apply, used = lambda model: model, format_for(out)
-            report = _attack_model(apply, target, out, into, spz_frame, console)
-    report |= {
+            done = _attack_model(apply, target, out, into, spz_frame, console)
+    report = done.sizes | {
         "attack": name,
         "kind": chosen.kind,
         "strength": used,
@@ -117,10 +117,9 @@ def attack(
         "bytes_out": out.stat().st_size,
         "seconds": time.perf_counter() - began,
     }
-    console.say(f"{name} {report['strength']} ({report['meaning']}), seed {seed}: {target} -> {out}, {report['said']}")
-    for note in report.get("notes", []):
+    console.say(f"{name} {used} ({chosen_reading.meaning}), seed {seed}: {target} -> {out}, {done.summary}")
+    for note in done.notes:
         console.say(f"  note: {note}")
-    del report["said"]
     console.emit(report)
     return 0
 
@@ -136,9 +135,17 @@ def _strength(text: str | None, chosen: Attack[Any]) -> float | str | None:
         ) from None
 
 
+class _Done(NamedTuple):
+    """What an attack did: the first part of the JSON report, a summary for people, notes on what was lost."""
+
+    sizes: dict[str, object]
+    summary: str
+    notes: Sequence[str] = ()
+
+
 def _attack_model(
     apply: Callable[..., GaussianModel], target: Path, out: Path, into: Path | None, spz_frame: str, console: Console
-) -> dict[str, Any]:
+) -> _Done:
     from engine.formats import read_model, write_model
     from engine.formats.file_writing import loss_note
 
@@ -149,15 +156,12 @@ def _attack_model(
     result = apply(loaded.model, **options)
     with whole_file(out) as part:
         write_model(result, part, kind)
-    return {
-        "gaussians_in": len(loaded.model),
-        "gaussians_out": len(result),
-        "notes": loss_note(result, kind),
-        "said": f"{len(loaded.model):,} -> {len(result):,} Gaussians",
-    }
+    notes = loss_note(result, kind)
+    sizes = {"gaussians_in": len(loaded.model), "gaussians_out": len(result), "notes": notes}
+    return _Done(sizes, f"{len(loaded.model):,} -> {len(result):,} Gaussians", notes)
 
 
-def _attack_picture(apply: Callable[[Float32], Float32], target: Path, out: Path, quality: int) -> dict[str, Any]:
+def _attack_picture(apply: Callable[[Float32], Float32], target: Path, out: Path, quality: int) -> _Done:
     """`quality` of a JPEG file: that of the attack `jpeg` is coded once more with the same tables."""
     from engine.formats.image_files import read_picture
 
@@ -167,8 +171,8 @@ def _attack_picture(apply: Callable[[Float32], Float32], target: Path, out: Path
     before, after = (f"{picture.shape[1]} x {picture.shape[0]}" for picture in (image, result))
     with whole_file(out) as part:
         write_picture(result, part, out, quality)
-    return {
+    sizes: dict[str, object] = {
         "size_in": [image.shape[1], image.shape[0]],
         "size_out": [result.shape[1], result.shape[0]],
-        "said": f"{before} -> {after} pixels",
     }
+    return _Done(sizes, f"{before} -> {after} pixels")

@@ -1,9 +1,9 @@
-"""`mark3dgs demo`: the main job on a real scene, told step by step."""
+"""`mark3dgs demo`: the main job on a real scene, step by step."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding
     from engine.flows.records.opened_record import OpenedRecord
     from engine.flows.verify.verification import Verification
-    from engine.model import Camera, GaussianModel
+    from engine.model import Camera, Float32, GaussianModel
     from engine.present.wording import Words
     from engine.watermark.keys import OwnerKey
+
 
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
 SCREENSHOT_QUALITY = 80
-VIEW, ZOOM = 5, 0.8
-"""View of the rig in the picture, and how much of its focal length: room around the subject."""
+VIEW, ZOOM = 5, 0.8  # view of the rig in the picture, and how much of its focal length: room around the subject
 
 STOLEN = "stolen-piece.spz"
 
@@ -49,15 +49,15 @@ class _Work:
 
 def demo(
     model: Annotated[
-        Path | None, typer.Argument(metavar="MODEL", help="Model to play with (default: the scene of the repository).")
+        Path | None, typer.Argument(metavar="MODEL", help="Model to mark (default: the scene of the repository).")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder for everything that is made.")] = Path("demo-out"),
+    out: Annotated[Path, typer.Option("--out", help="Folder for all files.")] = Path("demo-out"),
     json: Json = False,
 ) -> int:
-    """Mark a real captured scene, steal it in several ways, claim every piece.
+    """Mark a real captured scene, attack it in several ways, verify every suspect.
 
-    About a minute on two cores, once the kernels are compiled. Everything lands
-    in one folder: key, marked model, record, stolen pieces and a picture.
+    About a minute on two cores, once the kernels are compiled. All files go
+    to one folder: key, marked model, record, stolen copies and a picture.
 
     Example:
 
@@ -176,7 +176,7 @@ def _trials(
         return suspect
 
     def stored(suspect: GaussianModel, name: str, kind: str) -> GaussianModel:
-        """Through a file, as a thief would pass it on."""
+        """Through a file, as it would be passed on."""
         path = work.folder / name
         with whole_file(path) as part:
             write_model(suspect, part, kind)
@@ -199,7 +199,7 @@ def _trials(
             write_picture(picture, part, path, SCREENSHOT_QUALITY)
         return verify_images([read_picture(path)], opened, config, None, work.progress)
 
-    work.console.say("4. Somebody takes it, and the owner checks what turns up:")
+    work.console.say("4. Copies are stolen, and the owner verifies what is found:")
     steps: dict[str, tuple[str, Callable[[], Verification]]] = {
         "moved": ("turned by 77 degrees, scaled by 2.5, shuffled", moved),
         "piece": ("cropped to 25 %, moved, converted to .spz", piece),
@@ -226,18 +226,18 @@ def _summary(report: Mapping[str, Any]) -> str:
         chance = PLAIN.odds(report["log10_false_claim"])
         return f"{verdict:<11} {bits}, false claim {chance}, {report['seconds']:.1f} s"
     sure = f"a worn mark would show: {surely(report['power'])} sure"
-    return f"{verdict:<11} {bits}, as coins would; derived all the same; {sure}"
+    return f"{verdict:<11} {bits}, as by chance; derived; {sure}"
 
 
-def _wrong_key(work: _Work) -> dict[str, Any]:
-    """What another key finds with this record: nothing, and it is told why."""
+def _wrong_key(work: _Work) -> dict[str, str]:
+    """What another key finds with this record: nothing, with the reason."""
     from engine.flows.records.opened_record import open_record
     from engine.watermark.keys import OwnerKey
 
     try:
         open_record((work.folder / "scene.record").read_bytes(), OwnerKey.generate())
     except WrongKeyError as error:
-        work.console.say(f"   {'somebody else with a key of their own':<50} refused: this key did not make this record")
+        work.console.say(f"   {'the record opened with another key':<50} refused: this key did not make this record")
         return {"verdict": "wrong_key", "message": str(error)}
     return {"verdict": "opened", "message": "another key opened the record"}
 
@@ -254,7 +254,7 @@ def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, wo
 
     from engine.flows.views.camera_rig import make_rig
     from engine.formats import read_model
-    from engine.lab.cli.demo_picture import SIDE, SUSPECT_SIZE, Panel, draw_demo
+    from engine.lab.cli.demo_command import SIDE, SUSPECT_SIZE, Panel, draw_demo
     from engine.raster import render
 
     camera = _wider(make_rig(original, 24, SIDE, SIDE)[VIEW])
@@ -272,3 +272,63 @@ def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, wo
             words.headline,
             claim_lines(words, headline=False, parts=("says", "does_not_say")),
         )
+
+
+GAIN = 20
+SIDE = 720  # pixels of the three square panels' pictures
+SUSPECT_SIZE = (720, 540)
+
+_INK, _FAINT, _ACCENT, _PAPER = "#1b1f24", "#5c6672", "#0a7d52", "#ffffff"
+_INCHES = (12.0, 8.0)
+_LEFT, _GAP, _WIDTH = 0.0225, 0.0125, 0.31
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One image (H, W, 3) float32 in 0..1, its title and a word beside it."""
+
+    title: str
+    caption: str
+    image: Float32
+
+
+def draw_demo(path: Path, original: Panel, marked: Panel, suspect: Panel, headline: str, lines: Sequence[str]) -> None:
+    """Write the picture as PNG.
+
+    Parameters
+    ----------
+    original, marked : Panel
+        The same view; their difference is drawn beside them.
+    suspect : Panel
+        What turned up.
+    headline : str
+        The verdict in one sentence.
+    lines : sequence of str
+        The claim, in a fixed-width layout.
+    """
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    # Mid-grey is no change: both signs of the mark can be seen.
+    change = np.clip(0.5 + GAIN * (marked.image - original.image), 0.0, 1.0)
+    difference = Panel(f"Difference x{GAIN}", "grey: no change", change.astype(np.float32))
+    figure = Figure(figsize=_INCHES, dpi=100, facecolor=_PAPER)
+    FigureCanvasAgg(figure)
+
+    def place(panel: Panel, column: int, top: float) -> None:
+        height = _WIDTH * panel.image.shape[0] / panel.image.shape[1] * _INCHES[0] / _INCHES[1]
+        x = _LEFT + column * (_WIDTH + _GAP)
+        axes = figure.add_axes((x, top - height, _WIDTH, height))
+        axes.imshow(panel.image, interpolation="antialiased")
+        axes.set_axis_off()
+        figure.text(x, top + 0.014, panel.title, fontsize=14, fontweight="bold", color=_INK)
+        figure.text(x + _WIDTH, top + 0.015, panel.caption, fontsize=8.5, color=_FAINT, ha="right")
+
+    for column, panel in enumerate((original, marked, difference)):
+        place(panel, column, 0.94)
+    place(suspect, 2, 0.40)
+    figure.text(_LEFT, 0.422, headline, fontsize=14, fontweight="bold", color=_ACCENT, va="top")
+    text = "\n".join(lines)
+    figure.text(_LEFT, 0.376, text, fontsize=8.7, color=_INK, va="top", family="monospace", linespacing=1.3)
+    figure.savefig(path, format="png", facecolor=_PAPER, bbox_inches="tight", pad_inches=0.25)  # however long the claim

@@ -1,8 +1,9 @@
-"""`mark3dgs sim`: play a scenario, see what becomes of the marks."""
+"""`mark3dgs sim`: play a scenario and verify the marks after each step."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from engine.usecases.files import whole_file
 
 if TYPE_CHECKING:
     from engine.lab.sim.scenario import Run, StepResult
+    from engine.lab.sim.scenario.state import Finding
 
 COLUMNS = f"{'step':<44} {'object':<14} {'verdict':<12} {'bits':>7} {'z':>7} {'false claim':>11} {'PSNR':>6}"
 
@@ -43,7 +45,7 @@ def sim(
     steps: Annotated[bool, typer.Option("--steps", "--list", help="List all kinds of steps, one line each.")] = False,
     json: Json = False,
 ) -> int:
-    """Play a scenario: edits, physics, attacks; look for every mark after each step.
+    """Play a scenario: edits, physics, attacks; verify every mark after each step.
 
     The scenario is a TOML file: tables of objects (models, marked at the start)
     and of steps; docs/SIMULATOR.md explains it, docs/scenarios has
@@ -68,13 +70,13 @@ def sim(
     console.say(plan.title)
     console.say(COLUMNS)
 
-    def tell(result: StepResult) -> None:
+    def show(result: StepResult) -> None:
         for line in table_lines(result):
             console.say(line)
 
     with console.progress() as progress:
         prepare_kernels(console, progress, "model")
-        run = run_scenario(plan, progress, tell)
+        run = run_scenario(plan, progress, show)
         progress("write", 0.0)
         report = _write(run, out, keep_model)
     console.say(f"\nwritten to {out}: {', '.join(report['files'])}")
@@ -85,11 +87,11 @@ def sim(
 def table_lines(result: StepResult) -> list[str]:
     """The rows of one step, as text."""
     lines = []
-    for k, row in enumerate(result.rows):
-        cost = row.get("psnr_cost")
+    for k, found in enumerate(result.findings):
+        cost = found.psnr_cost
         lines.append(
-            f"{result.label[:44] if k == 0 else '':<44} {row['object'][:14]:<14} {row['verdict']:<12}"
-            f" {row['matching_bits']:>3}/{row['bits']:<3} {row['z']:>7.1f} {bound(row['log10_false_claim']):>11}"
+            f"{result.label[:44] if k == 0 else '':<44} {found.object[:14]:<14} {found.verdict:<12}"
+            f" {found.matching_bits:>3}/{found.bits:<3} {found.z:>7.1f} {bound(found.log10_false_claim):>11}"
             f" {'' if cost is None or not math.isfinite(cost) else f'{cost:.1f}':>6}"
         )
     return lines or [f"{result.label[:44]:<44} (no marked object)"]
@@ -100,10 +102,10 @@ def bound(log10: float) -> str:
     return f"1e{math.ceil(log10)}" if log10 < 0 else "1"
 
 
-def cost_text(row: dict[str, Any]) -> str:
+def cost_text(found: Finding) -> str:
     """What the step cost the look, in words; empty where it is no attack."""
-    psnr, coverage, covered = row["psnr_cost"], row["coverage"], row["covered_psnr"]
-    if psnr is None:
+    psnr, coverage, covered = found.psnr_cost, found.coverage, found.covered_psnr
+    if psnr is None or coverage is None:
         return ""
     if not math.isfinite(psnr):
         return "none"
@@ -118,7 +120,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
 
     from PIL import Image
 
-    from engine.lab.sim.views.movies import write_movie
+    from engine.lab.sim.scenario.film import write_movie
     from engine.numerics.plain import plain
 
     files = []
@@ -137,12 +139,14 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
         with whole_file(out / "model.ply") as part:
             write_model(run.model, part, "ply")
         files.append("model.ply")
+    steps = [
+        {"label": r.label, "seconds": r.seconds, "notes": list(r.notes), "found": [asdict(each) for each in r.findings]}
+        for r in run.results
+    ]
     report = {
         "title": run.scenario.title,
         "seed": run.scenario.seed,
-        "steps": [
-            {"label": r.label, "seconds": r.seconds, "notes": list(r.notes), "found": list(r.rows)} for r in run.results
-        ],
+        "steps": steps,
         "files": [*files, "report.json", "report.md"],
     }
     with whole_file(out / "report.json") as part:
@@ -153,7 +157,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
 
 
 def _markdown(run: Run) -> str:
-    """The table for people; pictures beside it."""
+    """The table as Markdown, with the pictures."""
     lines = [
         f"# {run.scenario.title}",
         "",
@@ -163,11 +167,11 @@ def _markdown(run: Run) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for result in run.results:
-        for row in result.rows:
+        for found in result.findings:
             lines.append(
-                f"| {result.label} | {row['object']} | {row['verdict'].replace('_', ' ')}"
-                f" | {row['matching_bits']} of {row['bits']} | {row['z']:.1f}"
-                f" | {bound(row['log10_false_claim'])} | {cost_text(row)} | {row['seconds']:.1f} |"
+                f"| {result.label} | {found.object} | {found.verdict.replace('_', ' ')}"
+                f" | {found.matching_bits} of {found.bits} | {found.z:.1f}"
+                f" | {bound(found.log10_false_claim)} | {cost_text(found)} | {found.seconds:.1f} |"
             )
     lines += [""] + [f"- {result.label}: {note}" for result in run.results for note in result.notes]
     lines += ["", "![film](film.webp)", ""] if run.frames else [""]

@@ -5,23 +5,22 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.extras import load_extra
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import MAX_HEADER_BYTES, Element, Header, Property
 from engine.formats.repairs import Repair
-from engine.lab.points.cloud import PointCloud
-from engine.lab.points.columns import cloud_of_columns
-
-__all__ = ["looks_like_pcd", "read_points_pcd"]
+from engine.lab.points.cloud import PointCloud, cloud_of_columns
 
 _TYPES = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 _KEYWORDS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _NUMBER = re.compile(r"[0-9]{1,15}", re.ASCII)
-_MAX_COLUMNS = 1024
-"""A point with histograms (FPFH: 33, VFH: 308) stays far below."""
+_MAX_COLUMNS = 1024  # a point with histograms (FPFH: 33, VFH: 308) stays far below
+_LZF_GROWTH = 88  # the longest copy of LZF is 264 bytes out of 3: no stream can grow by more
 
 _ELEMENT = "points"
 
@@ -39,7 +38,7 @@ def looks_like_pcd(data: bytes | memoryview) -> bool:
 
 
 def read_points_pcd(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Read a PCD file, without the points that an organised cloud leaves empty.
+    """Read a PCD file, without the points that an organized cloud leaves empty.
 
     The viewpoint of the header is not applied: it says where the scanner stood, not where the points lie. FormatError
     if the bytes are not what the header says, UnsupportedFormatError for another version than 0.7.
@@ -57,8 +56,7 @@ def read_points_pcd(data: bytes | memoryview, *, file: str) -> tuple[PointCloud,
 
 def _compressed_columns(data: bytes | memoryview, header: _PcdHeader, file: str) -> dict[str, npt.NDArray[Any]]:
     """One column after the other, LZF over all."""
-    from engine.lab.points.lzf import decompress  # numba: only this kind of file needs it
-
+    lzf = load_extra("lzf", "capture", "reading compressed PCD")
     body = memoryview(data)[header.size :]
     if len(body) < 8:
         raise FormatError(f"{len(body)} bytes follow the header, too few for two sizes", file=file)
@@ -70,7 +68,16 @@ def _compressed_columns(data: bytes | memoryview, header: _PcdHeader, file: str)
     if packed != len(body) - 8:
         message = f"the body has {len(body) - 8} bytes, but says {packed}: cut off, or the size is wrong"
         raise FormatError(message, file=file, element=_ELEMENT)
-    content = decompress(body[8:], size, file=file)
+    if size > _LZF_GROWTH * packed:
+        raise FormatError(f"claims {size} bytes compressed to {packed}", file=file, element=_ELEMENT)
+    try:
+        unpacked = lzf.decompress(bytes(body[8:]), size)  # None: there is more
+    except ValueError:
+        raise FormatError("the compressed body is broken", file=file, element=_ELEMENT) from None
+    if unpacked is None or len(unpacked) != size:
+        there = "more" if unpacked is None else len(unpacked)
+        raise FormatError(f"the compressed body holds {there} bytes, expected {size}", file=file, element=_ELEMENT)
+    content = np.frombuffer(unpacked, dtype=np.uint8)
     columns, at = {}, 0
     for prop in element.properties:
         length = element.count * int(prop.code[1])

@@ -1,4 +1,4 @@
-"""Any file with points in it, told by its first bytes and not by its name."""
+"""Point cloud files, recognized by their first bytes and not by their names."""
 
 import os
 from pathlib import Path
@@ -8,24 +8,21 @@ from engine.formats.guards import opening, read_regular
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import parse_header
 from engine.formats.repairs import Repair
-from engine.lab.points.cloud import PointCloud
-from engine.lab.points.columns import cloud_of_columns
+from engine.lab.points.cloud import PointCloud, cloud_of_columns
 from engine.lab.points.las import looks_like_las, read_points_las
 from engine.lab.points.pcd import looks_like_pcd, read_points_pcd
 
-__all__ = ["POINT_ENDINGS", "read_point_cloud"]
-
-POINT_ENDINGS = (".ply", ".pcd", ".las")
+POINT_ENDINGS = (".ply", ".pcd", ".las", ".laz")
 
 
 def read_point_cloud(
     path_or_bytes: str | os.PathLike[str] | bytes | bytearray | memoryview, *, name: str | None = None
 ) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Read a point cloud, PLY, PCD or LAS, from a file or the content of one; and tell what was mended.
+    """Read a point cloud, PLY, PCD, LAS or LAZ, from a file or the content of oneand list what was repaired.
 
     `name` is what to call the input in messages, by default its path; it is never opened. FormatError if the file
-    cannot be read, naming file, element, row and property; UnsupportedFormatError if it is of none of these formats,
-    LAZ, or a Gaussian model already; InputError if there is no such file, or it may not be opened.
+    cannot be read, naming file, element, row and property; UnsupportedFormatError if it is of none of these formats, or
+    a Gaussian model already; InputError if there is no such file, it may not be opened, or a package is missing.
     """
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
         return _decode(bytes(path_or_bytes), name or "(bytes)")
@@ -48,7 +45,7 @@ def _decode(data: bytes, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
         raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
     if not data:
         raise FormatError("is empty", file=file)
-    raise UnsupportedFormatError("is none of the point clouds read here: PLY, PCD, LAS", file=file)
+    raise UnsupportedFormatError("is none of the point clouds read here: PLY, PCD, LAS, LAZ", file=file)
 
 
 def _read_ply(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:

@@ -12,8 +12,6 @@ from engine.formats.cameras.files import read_limited
 from engine.formats.repairs import MAGNITUDE_LIMIT
 from engine.model import Float64
 
-__all__ = ["Trajectory", "parse_trajectory", "read_trajectory", "write_trajectory"]
-
 _TUM, _KITTI = 8, 12
 _TOLERANCE = 1e-2
 """How far a written rotation may be from a true one: KITTI's own files keep six digits, odometry keeps three."""
@@ -66,7 +64,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 
 def parse_trajectory(data: bytes, *, file: str) -> Trajectory:
-    """The same from the bytes of a file; see `read_trajectory`."""
+    """A trajectory from the bytes of a file; see `read_trajectory`."""
     rows: list[list[float]] = []
     for line in data.decode("utf-8", "replace").splitlines():
         words = line.split()
@@ -82,20 +80,6 @@ def parse_trajectory(data: bytes, *, file: str) -> Trajectory:
         raise FormatError("holds no poses", file=file)
     table = np.array(rows)
     return _tum(table, file) if table.shape[1] == _TUM else _kitti(table, file)
-
-
-def write_trajectory(trajectory: Trajectory, path: str | os.PathLike[str]) -> int:
-    """Write a trajectory: TUM where there are times, KITTI otherwise; every digit is kept. Returns the bytes written;
-    InputError if it cannot be."""
-    from engine.formats.file_writing import write_whole
-
-    if trajectory.times is None:
-        table = trajectory.matrices[:, :3].reshape(-1, _KITTI)  # (P, 12)
-    else:
-        xyzw = np.roll(trajectory.quats, -1, axis=1)
-        table = np.concatenate([trajectory.times[:, None], trajectory.positions, xyzw], axis=1)  # (P, 8)
-    text = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in table)
-    return write_whole(path, [text.encode("ascii")])
 
 
 def _number(word: str, file: str, row: int) -> float:

@@ -17,8 +17,6 @@ import numpy as np
 
 from engine.errors import InputError
 
-__all__ = ["Attack", "Attacks", "Label", "Reading", "Strength", "check_positive"]
-
 Strength = float | str
 """A number, but for attacks whose strength is a name: a format, a rule, a viewer's mistake."""
 
@@ -102,7 +100,7 @@ class Attack(Generic[T]):
 
         The strength is in the unit of the reading, its default where not given; of `rng`, or its seed, comes every
         random choice: the same seed gives the same result. The reading is the attack's first one where not given.
-        Options are what single attacks take beside: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
+        Options of single attacks: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
         rotate_image.
 
         A picture that comes back lies in 0..1 and may have another size. InputError if the reading does not exist, the

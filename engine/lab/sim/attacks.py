@@ -8,49 +8,26 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from engine.errors import InputError
-from engine.lab.sim import image_attacks, model_merging, model_placement, model_population, model_travels, model_values
-from engine.lab.sim.adversaries import (
-    appearance,
-    collusion,
-    denoising,
-    evolution,
-    overwriting,
-    published,
-    purification,
-    transplant,
-)
+from engine.lab.sim import image_attacks, image_encoders, model_placement, model_population, model_values
+from engine.lab.sim.adversaries import appearance, collusion, evolution, purification, second_marks
 from engine.lab.sim.attack import Attack
-from engine.lab.sim.views import encoders, lenses, overlays, tones
 from engine.model import Float32, GaussianModel
-
-__all__ = ["IMAGE_ATTACKS", "MODEL_ATTACKS", "find_attack", "image_attack", "model_attack"]
 
 A = TypeVar("A")
 
 MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {
     **model_placement.ATTACKS,
     **model_population.ATTACKS,
-    **model_merging.ATTACKS,
     **model_values.ATTACKS,
-    **model_travels.ATTACKS,
-    **published.ATTACKS,
     **appearance.ATTACKS,
     **purification.ATTACKS,
     **evolution.ATTACKS,
-    **overwriting.ATTACKS,
     **collusion.ATTACKS,  # needs `others`
-    **transplant.ATTACKS,  # needs `source`
+    **second_marks.ATTACKS,  # `transplant` needs `source`
 }
 """Attacks on models, by name."""
 
-IMAGE_ATTACKS: dict[str, Attack[Float32]] = {
-    **image_attacks.ATTACKS,
-    **lenses.ATTACKS,
-    **tones.ATTACKS,
-    **overlays.ATTACKS,
-    **encoders.ATTACKS,
-    **denoising.ATTACKS,
-}
+IMAGE_ATTACKS: dict[str, Attack[Float32]] = {**image_attacks.ATTACKS, **image_encoders.ATTACKS}
 """Attacks on images, by name."""
 
 

@@ -1,6 +1,7 @@
-"""Attacks that take Gaussians away or add copies: which Gaussians there are, not what they are.
+"""Attacks that remove, copy or merge Gaussians: which Gaussians there are, not what they are.
 
-All are pure functions `(model, strength, rng) -> model`; survivors keep their order and their values.
+All are pure functions `(model, strength, rng) -> model`; survivors keep their order. Merging is that of publishing
+tools that make levels of detail (`compress.levels_of_detail`).
 """
 
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.compress.levels_of_detail import merge_pairs, merge_voxels
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.attack import Attacks
@@ -17,17 +19,16 @@ from engine.numerics.similarity import quaternion_to_rotation
 
 __all__ = ["ATTACKS", "clone", "crop", "impact"]
 
+
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 _CLONED = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 _PRUNED = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 
-CLONE_JITTER = 0.05
-"""Shift of a clone in standard deviations of its Gaussian, along its own axes."""
+CLONE_JITTER = 0.05  # shift of a clone in standard deviations of its Gaussian, along its own axes
 
 IMPACT_VIEWS = 24
-IMPACT_SIZE = 256
-"""Views generated where no cameras are given, and their side in pixels."""
+IMPACT_SIZE = 256  # views generated where no cameras are given, and their side in pixels
 
 
 @ATTACKS.add(
@@ -92,7 +93,7 @@ def impact(model: GaussianModel, cameras: Sequence[Camera] | None, rng: np.rando
 def clone(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """Split a random share `strength` into pairs that together look like the one they replace.
 
-    Each of a pair gets the opacity 1 - sqrt(1 - o), so that at the centre both let as much light through as
+    Each of a pair gets the opacity 1 - sqrt(1 - o), so that at the center both let as much light through as
     the one did, and the second is moved by a twentieth of its standard deviations. The copies come last.
     """
     chosen = _chosen(model, strength, rng)
@@ -133,3 +134,24 @@ def _prune(model: GaussianModel, score: npt.NDArray[Any], strength: float) -> Ga
 def _lowest(score: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
     """Indices, ascending, of the `count` lowest scores; of equal ones the first."""
     return np.sort(np.argsort(score, kind="stable")[:count])
+
+
+_KEPT = (0.9, 0.7, 0.5, 0.25, 0.1, 0.05, 0.02)
+
+
+@ATTACKS.add("merge neighbors, pair after pair", "kept share", 0.25, _KEPT, "(0, 1]")
+def merge(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """NanoGS (Xiong et al. 2026, arXiv 2603.16103): mass is opacity times volume, and light adds up as in blending."""
+    return merge_pairs(model, strength, surface=False)
+
+
+@ATTACKS.as_code("merge", "kept share", 0.25, _KEPT, "(0, 1]")
+def merge_published(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """SuperSplat's publishing and splat-transform's `--decimate`: mass is opacity times surface, and is kept."""
+    return merge_pairs(model, strength, surface=True)
+
+
+@ATTACKS.add("merge the Gaussians of a voxel, level after level", "kept share", 0.25, _KEPT, "(0, 1]")
+def lod(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """The level of a voxel tree (Spark's) that has the share `strength` left: finer Gaussians become one."""
+    return merge_voxels(model, strength)

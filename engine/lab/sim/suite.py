@@ -15,14 +15,15 @@ from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.lab.sim.attack import Label, Strength
+from engine.lab.sim.attack_cost import CHEAP_DB, Cost, image_cost, model_cost
 from engine.lab.sim.attacks import image_attack, model_attack
-from engine.lab.sim.cost import CHEAP_DB, Cost, image_cost, model_cost
 from engine.model import Float32, GaussianModel
-
-__all__ = ["SUITE", "Company", "Subject", "Trial", "apply_chain", "failures_first", "run_suite"]
 
 Step = tuple[str, Strength]
 """Name and strength of an attack of the registry."""
+
+Row = dict[str, Any]
+"""One line of the study's JSON table; see `run_suite`."""
 
 WITHOUT_COST = {"merge_into", "crop_image", "rotate_image", "scale_image"}
 """Steps that only move, cut or surround what is stolen: left out when the look is judged."""
@@ -38,7 +39,7 @@ class Trial:
     # what is attacked; in a copy attack, what is framed is another model
     kind: Literal["model", "image", "copy attack"] = "model"
     reading: Label = "literal"  # of all steps that have it; the others run literally
-    copies: int = 0  # copies of the asset that are needed beside the subject's own
+    copies: int = 0  # copies of the asset that are needed in addition to the subject's own
 
 
 def _read_suite() -> tuple[Trial, ...]:
@@ -56,7 +57,7 @@ pictures."""
 
 
 class Subject(Protocol):
-    """A marked scene to attack: its name in the table, what thieves get, and the owner's record."""
+    """A marked scene to attack: its name in the table, what attackers get, and the owner's record."""
 
     @property
     def name(self) -> str: ...
@@ -70,7 +71,7 @@ class Subject(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Company:
-    """What some attacks need beside the stolen model."""
+    """What some attacks need in addition to the stolen model."""
 
     copies: Sequence[GaussianModel] = field(default_factory=tuple)  # other recipients' copies of the same asset
     # another, unmarked model: the scene merged into, and the victim of the copy attack
@@ -95,7 +96,7 @@ def apply_chain(
         if name in skip:
             continue
         attack: Any = find(name)
-        options: dict[str, Any] = {}
+        options: dict[str, object] = {}
         if name == "collude":
             options["others"] = company.copies[: trial.copies]
         elif name == "transplant":
@@ -118,11 +119,11 @@ def run_suite(
     pictures: int = 2,
     seed: int = 0,
     advance: Callable[[float], None] | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     """Attack, judge the look, verify; one row for each trial.
 
     Image attacks are tried on so many `pictures`, key views, each alone; the row is that of the lowest z. `advance` is
-    told the fraction done.
+    called with the fraction done.
 
     A row: scene, attack, kind, reading, source, verdict, expected, bit_accuracy, z, log10_false_claim,
     derived_fraction, route, seconds (of the verification), the fields of `Cost` (None where there is nothing to judge),
@@ -130,7 +131,7 @@ def run_suite(
     claim would be false, "framed"; "not run: ..." where the company lacks what the trial needs.
     """
     if not 1 <= pictures <= len(subject.opened.cameras):
-        raise InputError(f"the record has {len(subject.opened.cameras)} key views, {pictures} were asked for")
+        raise InputError(f"the record has {len(subject.opened.cameras)} key views, {pictures} are wanted")
     rows = []
     for number, trial in enumerate(trials):
         rows.append({"scene": subject.name, **_run(subject, trial, company, config, pictures, seed)})
@@ -139,15 +140,13 @@ def run_suite(
     return rows
 
 
-def failures_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def failures_first(rows: Sequence[Row]) -> list[Row]:
     """Rows by how bad they are for the owner: false claims, removed, ruined, held; then the lowest z first."""
     rank = {"framed": 0, "removed": 1, "ruined": 2, "held": 3}
     return sorted(rows, key=lambda row: (rank.get(row["outcome"], 4), row.get("z") or 0.0))
 
 
-def _run(
-    subject: Subject, trial: Trial, company: Company, config: VerifyConfig, pictures: int, seed: int
-) -> dict[str, Any]:
+def _run(subject: Subject, trial: Trial, company: Company, config: VerifyConfig, pictures: int, seed: int) -> Row:
     about = {
         "attack": trial.label,
         "kind": trial.kind,

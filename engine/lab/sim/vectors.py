@@ -1,12 +1,10 @@
-"""Places and directions as people give them."""
+"""Places and directions as arguments."""
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float64
-
-__all__ = ["check_triple"]
 
 
 def check_triple(value: npt.ArrayLike, what: str) -> Float64:

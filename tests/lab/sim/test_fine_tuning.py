@@ -8,7 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.training import stops_until
-from engine.lab.sim.fine_tuning import SETTINGS, fine_tune, fine_tune_stages, pictures_of
+from engine.lab.sim.adversaries.retraining import SETTINGS, fine_tune, fine_tune_stages, pictures_of
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render

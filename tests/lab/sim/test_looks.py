@@ -29,7 +29,7 @@ def before(model: GaussianModel, camera: Camera) -> Float32:
 
 
 def moved_camera(camera: Camera, model: GaussianModel, moved: GaussianModel) -> Camera:
-    """The camera that sees the moved model as `camera` sees the model, by Procrustes on the centres."""
+    """The camera that sees the moved model as `camera` sees the model, by Procrustes on the centers."""
     a, b = model.means.astype(np.float64), moved.means.astype(np.float64)
     a0, b0 = a - a.mean(axis=0), b - b.mean(axis=0)
     u, _, vt = np.linalg.svd(b0.T @ a0)

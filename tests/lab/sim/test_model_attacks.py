@@ -8,8 +8,8 @@ import pytest
 from engine.errors import InputError
 from engine.flows.views.camera_rig import measure_extent
 from engine.lab.sim.attacks import model_attack
+from engine.lab.sim.model_placement import foreign_scene
 from engine.lab.sim.model_population import clone, impact
-from engine.lab.sim.model_travels import foreign_scene
 from engine.model import GaussianModel, look_at
 
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -36,7 +36,7 @@ def assert_taken(model: GaussianModel, attacked: GaussianModel) -> np.ndarray:
 
 
 def similarity_of(model: GaussianModel, moved: GaussianModel) -> tuple[float, np.ndarray, np.ndarray]:
-    """Scale, rotation and centre shift by Procrustes on the centres, which must explain them."""
+    """Scale, rotation and center shift by Procrustes on the centers, which must explain them."""
     a, b = model.means.astype(np.float64), moved.means.astype(np.float64)
     a0, b0 = a - a.mean(axis=0), b - b.mean(axis=0)
     u, _, vt = np.linalg.svd(b0.T @ a0)
@@ -57,7 +57,7 @@ def test_rotate_turns_about_the_centre(model: GaussianModel, degrees: float) -> 
     assert factor == pytest.approx(1.0, abs=1e-5)
     assert angle_of(R) == pytest.approx(degrees, abs=0.05)
     center = measure_extent(model).center
-    np.testing.assert_allclose(moved.means - center, (model.means - center) @ R.T, atol=2e-3)  # the centre itself stays
+    np.testing.assert_allclose(moved.means - center, (model.means - center) @ R.T, atol=2e-3)  # the center itself stays
     assert np.abs(moved.quats - model.quats).max() > 0.01
     assert np.abs(moved.sh[:, 1:] - model.sh[:, 1:]).max() > 0.01
     np.testing.assert_array_equal(moved.sh[:, 0], model.sh[:, 0])
@@ -208,7 +208,7 @@ def test_noise_touches_its_attributes_with_their_own_std(model: GaussianModel, n
             np.testing.assert_allclose(error.std(axis=(0, 2)), expected, rtol=0.12)
         elif attribute == "quats":
             np.testing.assert_allclose(np.linalg.norm(now, axis=1), 1.0, atol=1e-6)
-            assert 0.03 < error.std() < 0.06  # 0.1 of 0.5, less what normalising takes away
+            assert 0.03 < error.std() < 0.06  # 0.1 of 0.5, less what normalizing takes away
         else:
             expected = 0.1 * np.sqrt(was.var(axis=0).mean())
             assert error.std() == pytest.approx(expected, rel=0.1)

@@ -20,7 +20,7 @@ from engine.numerics.moment_matching import merge_groups
 from engine.raster import render
 from tests.reference import merging as twin
 
-SCENE = Path(__file__).parents[1] / "data" / "plant.splat"
+SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
 READINGS = [("merge", "literal"), ("merge", "as_code"), ("lod", "literal")]
 
 
@@ -39,9 +39,9 @@ def camera_of(model: GaussianModel) -> Camera:
 def total_moments(model: GaussianModel) -> tuple[np.ndarray, np.ndarray]:
     mass = surface_mass(model)
     share = mass / mass.sum()
-    centre = share @ model.means
-    gap = model.means - centre
-    return centre, np.einsum("n,nij->ij", share, covariances(model)) + (gap * share[:, None]).T @ gap
+    center = share @ model.means
+    gap = model.means - center
+    return center, np.einsum("n,nij->ij", share, covariances(model)) + (gap * share[:, None]).T @ gap
 
 
 @pytest.mark.parametrize(("name", "reading"), READINGS)
@@ -60,11 +60,11 @@ def test_all_of_the_model_is_no_change(patch: GaussianModel, name: str, reading:
 
 def test_moments_of_the_whole_are_kept(patch: GaussianModel) -> None:
     """What registration of a merged and moved model rests on."""
-    centre, spread = total_moments(patch)
+    center, spread = total_moments(patch)
     for share in (0.5, 0.1):
         thin_centre, thin_spread = total_moments(model_attack("merge").apply(patch, share, reading="as_code"))
         size = np.sqrt(np.trace(spread))
-        assert np.abs(thin_centre - centre).max() < 0.06 * size  # opacities end at 1, and mass is lost there
+        assert np.abs(thin_centre - center).max() < 0.06 * size  # opacities end at 1, and mass is lost there
         np.testing.assert_allclose(thin_spread, spread, atol=0.06 * size**2)
 
 

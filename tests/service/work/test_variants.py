@@ -10,7 +10,7 @@ import pytest
 
 from engine.errors import UnsupportedFormatError
 from engine.formats import read_model
-from engine.lab.sim.variants.swaying import fit_spacetime, set_in_motion
+from engine.lab.sim.variants.synthetic import fit_spacetime, set_in_motion
 from engine.scenes.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from service.work.embedding import embed_mark
 from service.work.tasks import TASKS

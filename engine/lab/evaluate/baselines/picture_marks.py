@@ -23,7 +23,7 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.baselines.method import Kept, Method
 from engine.lab.evaluate.baselines.model_marks import bit_scores
 from engine.lab.evaluate.marked_subjects import picture_of
-from engine.lab.sim.fine_tuning import fine_tune
+from engine.lab.sim.adversaries.retraining import fine_tune
 from engine.model import Camera, Float32, Float64, GaussianModel, Int64
 from engine.raster import render
 from engine.watermark.keys import OwnerKey, permutation, signs

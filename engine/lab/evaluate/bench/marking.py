@@ -21,7 +21,7 @@ from engine.formats import encode_model, read_model
 from engine.lab.evaluate.bench.attacks import other_views
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
 from engine.lab.evaluate.study import Row
-from engine.lab.sim.variants.table4 import VariantRow
+from engine.lab.sim.variants.variant_table import VariantRow
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
@@ -113,15 +113,15 @@ def measure_variants(scene: str, setting: str, seed: int) -> list[Row]:
 
 
 def _discs(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
-    from engine.lab.sim.variants.discs import make_discs
-    from engine.lab.sim.variants.measuring import measure_discs
+    from engine.lab.sim.variants.synthetic import make_discs
+    from engine.lab.sim.variants.variant_table import measure_discs
 
     return measure_discs(original, make_discs(original), key, config, seed=seed)
 
 
 def _moving(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
-    from engine.lab.sim.variants.measuring import measure_spacetime
-    from engine.lab.sim.variants.swaying import fit_spacetime, set_in_motion
+    from engine.lab.sim.variants.synthetic import fit_spacetime, set_in_motion
+    from engine.lab.sim.variants.variant_table import measure_spacetime
 
     truth = set_in_motion(original, seed=seed)
     return measure_spacetime(truth, fit_spacetime(truth), key, config, seed=seed)
@@ -132,7 +132,7 @@ def _codebook(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folde
     from engine.flows.embed.delivery import slim_down
     from engine.flows.views.camera_rig import measure_extent
     from engine.flows.views.view_set import look
-    from engine.lab.sim.variants.measuring import measure_codebook
+    from engine.lab.sim.variants.variant_table import measure_codebook
     from engine.scenes.codebook_marking import make_codebook
 
     views = look(original, make_rig(original, 8, 512, 512), lambda fraction: None)
@@ -144,7 +144,7 @@ def _codebook(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folde
 
 def _generated(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
     from engine.lab.sim.variants.generative import FEW_GAUSSIANS, generate_from_views
-    from engine.lab.sim.variants.measuring import measure_generated
+    from engine.lab.sim.variants.variant_table import measure_generated
 
     rig = make_rig(original, GENERATED_VIEWS, GENERATED_SIZE, GENERATED_SIZE)
     pictures = [np.clip(render(original, camera), 0.0, 1.0) for camera in rig]

@@ -176,7 +176,7 @@ def _physics(model: GaussianModel, repeats: int) -> Row:
 
 def _training(model: GaussianModel, repeats: int, seed: int) -> Row:
     """Iterations a second of training all parameters (SSIM and L1) of a disturbed model towards its own pictures."""
-    from engine.lab.sim.capture.training import TrainConfig, Trainer
+    from engine.lab.sim.capture.trainer import TrainConfig, Trainer
 
     cameras = make_rig(model, 6, TRAINED_SIZE, TRAINED_SIZE)
     images = [np.clip(render(model, camera), 0.0, 1.0) for camera in cameras]

@@ -14,8 +14,14 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, configure, mark_scene
 from engine.lab.evaluate.study import Row
-from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retraining_steps
-from engine.lab.sim.fine_tuning import SETTINGS, fine_tune_stages, pictures_of
+from engine.lab.sim.adversaries.retraining import (
+    SETTINGS,
+    RetrainConfig,
+    fine_tune_stages,
+    pictures_of,
+    quality_lost,
+    retraining_steps,
+)
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 

@@ -12,7 +12,7 @@ from engine.lab.evaluate.intervals import bootstrap, share_interval
 from engine.lab.evaluate.study import Row
 from engine.lab.evaluate.summary import grouped, picked
 from engine.lab.sim.attack import Strength
-from engine.lab.sim.cost import CHEAP_DB
+from engine.lab.sim.attack_cost import CHEAP_DB
 from engine.model import Float64
 
 __all__ = [

@@ -16,7 +16,7 @@ from engine.lab.evaluate.stability.sameness import compare_machines, compare_pre
 from engine.lab.evaluate.stability.sweeps import PICTURE_SIZE, all_sweeps, sweep, thinned
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import listed, picked, table
-from engine.lab.sim.cost import CHEAP_DB
+from engine.lab.sim.attack_cost import CHEAP_DB
 
 __all__ = ["STUDY"]
 

@@ -21,8 +21,8 @@ from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.marked_subjects import fast_mark, picture_of
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attack import Label, Strength
+from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
-from engine.lab.sim.cost import image_cost, model_cost
 from engine.lab.sim.suite import Company, Trial, apply_chain
 from engine.model import Camera, Float32, GaussianModel
 

@@ -1,5 +1,5 @@
-"""Adversaries: whoever has marked models and wants the mark gone, diluted, or on somebody else's work.
+"""Attacks by adversaries who know how marks work: removal, dilution, copying the mark onto another model.
 
 Each module is one idea and names its source; suites, scenarios and studies come in by `engine.lab.sim.attacks`. Start
-at `purification` or `collusion`; `published` has the severities of other systems' papers.
+at `purification` or `collusion`; `model_values` has the severities of FlyMark's table.
 """

@@ -1,4 +1,4 @@
-"""Attacks on the look: view dependence baked away, colours smoothed over neighbours, regions painted anew.
+"""Attacks on the look: view dependence baked away, colors smoothed over neighbors, regions painted anew.
 
 All are pure functions `(model, strength, rng) -> model`; geometry and opacities stay.
 """
@@ -9,22 +9,17 @@ from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.sim.attack import Attacks
 from engine.model import SH_C0, Float32, Float64, GaussianModel
 
-__all__ = ["ATTACKS"]
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-BAKE_SIZE = 256
-"""Side of the views over which colours are averaged, pixels."""
-
-REGION_SHARE = 0.05
-"""Gaussians of one repainted region, as a share of all."""
+BAKE_SIZE = 256  # side of the views over which colors are averaged, pixels
+REGION_SHARE = 0.05  # Gaussians of one repainted region, as a share of all
 
 _LUMA = np.array([0.299, 0.587, 0.114])
 
 
 @ATTACKS.add("bake spherical harmonics to plain RGB over views", "views", 24, (96, 24, 8, 3, 1), "1..256")
 def bake_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
-    """Each Gaussian keeps the mean of its colours over `strength` views.
+    """Each Gaussian keeps the mean of its colors over `strength` views.
 
     A view counts for a Gaussian by the blending weight it has there; one seen nowhere gets the plain mean.
     """
@@ -41,11 +36,11 @@ def bake_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -
     return model.with_(sh=((mean - 0.5) / SH_C0).astype(np.float32)[:, None])
 
 
-@ATTACKS.add("mean colour over similar neighbours", "neighbours", 8, (2, 4, 8, 16, 32, 64), "1..256")
+@ATTACKS.add("mean color over similar neighbors", "neighbors", 8, (2, 4, 8, 16, 32, 64), "1..256")
 def smooth_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
-    """A bilateral filter of DC over the surface; the Gaussian itself is the first neighbour.
+    """A bilateral filter of DC over the surface; the Gaussian itself is the first neighbor.
 
-    Neighbours count by exp(-d^2 / 2 sigma^2) of their colour distance, sigma the median distance to a neighbour, so
+    Neighbors count by exp(-d^2 / 2 sigma^2) of their color distance, sigma the median distance to a neighbor, so
     that edges stay.
     """
     from scipy.spatial import cKDTree
@@ -76,9 +71,9 @@ def smooth_colors(model: GaussianModel, strength: int, rng: np.random.Generator)
 def repaint(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """A share `strength` of the model, region by region: a stand-in for editing by a diffusion model.
 
-    Connected regions of a twentieth of the Gaussians keep their light and shade and get another colour, another
+    Connected regions of a twentieth of the Gaussians keep their light and shade and get another color, another
     contrast and a smooth pattern of their own; view dependence goes there. A real diffusion edit needs a network that
-    is not part of this program: this one is at least as strong in colour and leaves geometry alone.
+    is not part of this program: this one is at least as strong in color and leaves geometry alone.
     """
     means = model.means.astype(np.float64)
     radius = measure_extent(model).radius
@@ -100,7 +95,7 @@ def repaint(model: GaussianModel, strength: float, rng: np.random.Generator) -> 
 
 
 def _palette(colors: Float64, place: Float64, rng: np.random.Generator) -> Float32:
-    """New colours (n, 3) of a region, from its own light and shade; place (n, 3) in radii of the scene."""
+    """New colors (n, 3) of a region, from its own light and shade; place (n, 3) in radii of the scene."""
     light = np.clip(colors @ _LUMA, 0.0, 1.0)[:, None]
     tint = rng.uniform(0.2, 1.0, 3)
     tint /= tint @ _LUMA

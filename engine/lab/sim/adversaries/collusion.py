@@ -16,8 +16,6 @@ from engine.errors import InputError
 from engine.lab.sim.attack import Attacks
 from engine.model import Float32, GaussianModel
 
-__all__ = ["ATTACKS", "RULES", "collude"]
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 _COEFFICIENTS_AT_A_TIME = 1 << 22  # of all copies: order statistics of a big scene need no big memory
@@ -35,8 +33,7 @@ _VALUE_RULES: dict[str, _Rule] = {
 }
 """By name: values (copies, n, ...) and a source of coins to (n, ...)."""
 
-PATCHES = 256
-"""Connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene."""
+PATCHES = 256  # connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene
 
 
 def _patches(model: GaussianModel, copies: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
@@ -56,11 +53,8 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 }
 """By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
-FIRST = "first"
-"""The rule that averages colours and keeps one copy's geometry, whose owner the marks then name loudest."""
-
-RULES = (*_VALUE_RULES, *_MIXERS, FIRST)
-"""Names of the rules."""
+FIRST = "first"  # the rule that averages colors and keeps one copy's geometry, whose owner the marks then name loudest
+RULES = (*_VALUE_RULES, *_MIXERS, FIRST)  # names of the rules
 
 
 @ATTACKS.add("put several copies of one asset together", "rule", "mean", RULES)
@@ -69,10 +63,10 @@ def collude(
 ) -> GaussianModel:
     """One model out of several copies; InputError where the rule is unknown, no other is given or they differ in shape.
 
-    `strength` says what is done with the copies' values of each coefficient, centre, size and opacity: "mean",
+    `strength` says what is done with the copies' values of each coefficient, center, size and opacity: "mean",
     "median", "min", "max", "minmax" (middle of the extremes), "modneg" (min + max - median), "randneg" (min or max by a
     coin); or "interleave" (each Gaussian from a random copy), "patches" (each of some hundred connected pieces from a
-    random copy) and "first" (colours averaged, all else from the first copy).
+    random copy) and "first" (colors averaged, all else from the first copy).
 
     The `others` have the same Gaussians in the same order. Rotations are the same but for rounding, and are taken from
     the first, `model`.
@@ -83,7 +77,7 @@ def collude(
         raise InputError("collusion needs the models of the other copies: others=[...]")
     for number, other in enumerate(others, start=2):
         if other.sh.shape != model.sh.shape:
-            raise InputError(f"copy {number} has colours {other.sh.shape}, the first has {model.sh.shape}")
+            raise InputError(f"copy {number} has colors {other.sh.shape}, the first has {model.sh.shape}")
     copies = [model, *others]
     names = ("sh",) if strength == FIRST else ("means", "log_scales", "opacity_logits", "sh")
     if strength in _MIXERS:

@@ -1,7 +1,7 @@
 """Evolving a mark away without knowing it: GMEA's idea ("Fading the Digital Ink", AAAI 2026).
 
-The attacker has no detector. He splits the Gaussians into ten groups by k-means and lets a genetic search find, for
-each group, how much of it to prune and how to shift its colour, such that features of the renders carry as little
+The attacker has no detector, splits the Gaussians into ten groups by k-means and lets a genetic search find, for
+each group, how much of it to prune and how to shift its color, such that features of the renders carry as little
 variance as possible while the look stays within a budget of PSNR.
 
 GMEA's features are maps of a network; here they are the detail bands of a three-level Haar transform of the render,
@@ -18,14 +18,10 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.attack import Attacks
 from engine.model import Camera, Float32, Float64, GaussianModel
 
-__all__ = ["ATTACKS", "Budget", "evolve"]
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-GROUPS = 10
-"""k-means groups, as GMEA's."""
-LARGEST_PRUNE = 0.5
-"""Of any one group."""
+GROUPS = 10  # k-means groups, as GMEA's
+LARGEST_PRUNE = 0.5  # of any one group
 LEVELS = 3
 
 
@@ -73,7 +69,7 @@ class _Judge:
 
 
 @ATTACKS.add(
-    "prune and shift colours as a genetic search finds best",
+    "prune and shift colors as a genetic search finds best",
     "least PSNR, dB",
     30.0,
     (45, 40, 35, 30, 25, 20),
@@ -90,7 +86,7 @@ def evolve(
     judge = _Judge(model, _groups(model, rng), rng.random(len(model)), rig, clean, strength)
     start = np.zeros((GROUPS, 4))
     population = [(judge(start), start)]
-    # A first step that alone would cost about the budget: a colour error e has a PSNR of -20 log10 e.
+    # A first step that alone would cost about the budget: a color error e has a PSNR of -20 log10 e.
     step = 3.5 * 10.0 ** (-strength / 20.0)
     for _ in range(budget.generations):
         brood = []
@@ -107,7 +103,7 @@ def evolve(
 
 
 def _groups(model: GaussianModel, rng: np.random.Generator) -> np.ndarray:
-    """(N,) k-means group of each Gaussian, by position and colour."""
+    """(N,) k-means group of each Gaussian, by position and color."""
     from scipy.cluster.vq import kmeans2
     from scipy.spatial import cKDTree
 

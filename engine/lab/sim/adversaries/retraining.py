@@ -1,11 +1,19 @@
-"""Training a fresh model on renders of a stolen one: none of its Gaussians is left, only what it looks like.
+"""Training against the mark: fine-tuning a stolen model on pictures, or training a fresh one on its renders.
 
-1. The thief renders the stolen model from views of his own choice.
-2. Points come from the depths of these renders, or from nowhere (random), and make round Gaussians.
-3. All parameters are trained on the renders, as on photos (`engine.lab.sim.capture.training`).
+How the paper's Table 5 (and NeRF Signature's before it) is read here, since the paper does not say:
 
-Nobody has published what becomes of a mark then. Reading it is informed as all our reading is: the owner's record says
-what the unmarked model looked like; blind decoders do without.
+- *Clean images*: renders of the unmarked model, neither rounded nor compressed. No attacker has anything better, for
+  the optimum of the loss then lies at the unmarked model itself.
+- *No clean images*: the attacker photographs the stolen model, so the pictures carry the mark: renders of the marked
+  model as 8-bit files. (Unrounded ones would have no gradient at all.)
+- *Pose key*: the pictures are taken at the secret views at which the mark was shaped; without it, from as many views of
+  an orbit of the attacker's own.
+- *Epoch*: every picture once, in random order. Every parameter moves at INRIA's rates, with a fresh Adam and the
+  position rate decaying over the run; densification is off.
+
+A fresh model keeps none of the stolen Gaussians, only the look: 1. render the stolen model from views of the attacker's
+choice; 2. lift points from the depths of these renders, or draw them at random, and make round Gaussians of them;
+3. train all parameters on the renders, as on photos. No published result says what becomes of a mark then.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -15,16 +23,98 @@ from typing import Literal
 import numpy as np
 
 from engine.errors import InputError
+from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.capture.capture_kernels import kernels_from_points
-from engine.lab.sim.capture.training import TrainConfig, Trainer
+from engine.lab.sim.capture.trainer import TrainConfig, Trainer
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render, render_depth
 
-__all__ = ["RetrainConfig", "quality_lost", "retrain", "retraining_steps"]
 
-LEAST_ALPHA = 0.5
-"""A pixel this opaque shows a surface, on which a point may lie."""
+@dataclass(frozen=True)
+class FineTuneSetting:
+    """What the attacker has."""
+
+    clean_images: bool  # renders of the unmarked model; otherwise own renders of the marked one
+    pose_key: bool  # the owner's secret views; otherwise own views
+
+
+SETTINGS: dict[str, FineTuneSetting] = {
+    "key": FineTuneSetting(False, True),
+    "neither": FineTuneSetting(False, False),
+    "clean+key": FineTuneSetting(True, True),
+    "clean": FineTuneSetting(True, False),
+}
+"""In the order of the paper's table."""
+
+
+def pictures_of(
+    setting: FineTuneSetting,
+    original: GaussianModel,
+    marked: GaussianModel,
+    key_views: Sequence[Camera],
+    *,
+    size: int = 400,
+    seed: int = 0,
+) -> tuple[list[Camera], list[Float32]]:
+    """The views and pictures (size, size, 3), 0 to 1, that an attacker trains on.
+
+    Without the pose key only the number of the owner's `key_views` is used, and `seed` draws the attacker's own.
+    """
+    if setting.pose_key:
+        cameras = [camera.resized(size, size) for camera in key_views]
+    else:
+        jitter = np.random.default_rng((seed, 5)).uniform(size=(len(key_views), 4))
+        cameras = make_rig(marked, len(key_views), size, size, jitter=jitter)
+    shown = original if setting.clean_images else marked
+    images = [np.clip(render(shown, camera), 0.0, 1.0) for camera in cameras]
+    if not setting.clean_images:
+        images = [(np.round(image * 255.0) / 255.0).astype(np.float32) for image in images]
+    return cameras, images
+
+
+def fine_tune_stages(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    images: Sequence[Float32],
+    epochs: Sequence[int],
+    *,
+    trained: Literal["all", "colors"] = "all",
+    seed: int = 0,
+    advance: Callable[[float], None] | None = None,
+) -> Iterator[tuple[int, GaussianModel]]:
+    """One training of the stolen model, looked at after several numbers of epochs: pairs of epoch and model.
+
+    Cameras and images are those of `pictures_of`. The epochs rise, the last one more than 0; 0 is the model as it is.
+    `trained` is every parameter, or SH alone with the geometry frozen; `seed` that of the pictures' order; `advance` is
+    called with the part done, 0 to 1. InputError if the epochs do not rise, or the pictures do not fit (see `Trainer`).
+    """
+    if not epochs or epochs[0] < 0 or epochs[-1] < 1 or any(np.diff(epochs) <= 0):
+        raise InputError(f"epochs must rise and end above 0, got {list(epochs)}")
+    config = TrainConfig(
+        steps=epochs[-1] * max(len(cameras), 1), trained=trained, sh_degree=None, densify=None, seed=seed
+    )
+    trainer = Trainer(model, cameras, images, config)
+    for epoch in epochs:
+        yield epoch, trainer.run(advance, epoch * len(cameras)) if epoch else model
+
+
+def fine_tune(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    images: Sequence[Float32],
+    epochs: int,
+    *,
+    trained: Literal["all", "colors"] = "all",
+    seed: int = 0,
+    advance: Callable[[float], None] | None = None,
+) -> GaussianModel:
+    """A model after so many epochs on pictures; parameters and errors as for `fine_tune_stages`."""
+    stages = fine_tune_stages(model, cameras, images, [epochs], trained=trained, seed=seed, advance=advance)
+    return next(stages)[1]
+
+
+LEAST_ALPHA = 0.5  # a pixel this opaque shows a surface, on which a point may lie
 PHOTO_DB = 27.0
 """What a trained model usually reaches on photos it has not seen (27.2 dB, Mip-NeRF 360 scenes, Kerbl et al. 2023)."""
 
@@ -56,10 +146,9 @@ def retrain(
     config: RetrainConfig | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """A fresh model that looks like a stolen one, of which only renders from the thief's views are used.
+    """A fresh model that looks like a stolen one, from renders of the attacker's views alone.
 
-    `progress` is told the part done, 0 to 1. InputError if there is no camera, or the views show nothing to put points
-    on.
+    `progress` is called with the part done, 0 to 1. InputError if there is no camera, or the views show too little.
     """
     return _trainer(marked, cameras, config or RetrainConfig()).run(progress)
 
@@ -85,7 +174,7 @@ def retraining_steps(
 
 
 def quality_lost(retrained: GaussianModel, stolen: GaussianModel, cameras: Sequence[Camera]) -> dict[str, float]:
-    """What the attack cost the thief, on views he did not train on.
+    """The quality that the attack lost, on views that were not trained on.
 
     `psnr_to_stolen`: mean PSNR against the stolen model's renders, dB. `lost_db`: how much lower the PSNR of the new
     model against photos is than the stolen one's, where that has 27 dB and the errors are independent.
@@ -124,7 +213,7 @@ def _trainer(marked: GaussianModel, cameras: Sequence[Camera], config: RetrainCo
 def _lift(
     image: Float32, alpha: Float32, depth: Float32, camera: Camera, count: int, rng: np.random.Generator
 ) -> tuple[Float64, Float32]:
-    """At most `count` random pixels of a render as points in the world, and their colours."""
+    """At most `count` random pixels of a render as points in the world, and their colors."""
     rows, columns = np.nonzero((alpha > LEAST_ALPHA) & (depth > 0))
     chosen = rng.permutation(len(rows))[:count]
     rows, columns = rows[chosen], columns[chosen]

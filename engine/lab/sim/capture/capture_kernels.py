@@ -1,4 +1,4 @@
-"""From a coloured point cloud to Gaussian kernels: round ones, as INRIA starts its training, or flat ones.
+"""From a colored point cloud to Gaussian kernels: round ones, as INRIA starts its training, or flat ones.
 
 Flat kernels lie on the surfaces of the cloud and are for clouds that no photo will train.
 """
@@ -11,16 +11,14 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import SH_C0, Float64, GaussianModel
 
-__all__ = ["flat_kernels_from_points", "kernels_from_points", "principal_axes"]
-
-_NEIGHBOURS = 3
+_NEIGHBORS = 3
 _SMALLEST = 1e-3
 """Points closer to each other than this part of the cloud's median spacing count as one place: a kernel of no
-size would never be seen and never be moved. Also, of the median kernel, the size of one whose neighbours all are in
+size would never be seen and never be moved. Also, of the median kernel, the size of one whose neighbors all are in
 one place."""
 
 _THINNEST = 0.05  # of the widest axis: thinner kernels flicker when seen from the edge and say nothing more
-_LONGEST = 3.0  # of the middle axis: along the edge of a surface the neighbourhood is a line, the surface is not
+_LONGEST = 3.0  # of the middle axis: along the edge of a surface the neighborhood is a line, the surface is not
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -28,9 +26,9 @@ _ROWS_AT_ONCE = 1 << 16
 def kernels_from_points(
     points: npt.NDArray[Any], colors: npt.NDArray[Any], *, opacity: float = 0.1, size: float = 1.0
 ) -> GaussianModel:
-    """One round Gaussian for every point, as wide as its three nearest neighbours are far (Kerbl et al. 2023).
+    """One round Gaussian for every point, as wide as its three nearest neighbors are far (Kerbl et al. 2023).
 
-    Points (N, 3) are finite, N >= 4; colours (N, 3) 0 to 1, or uint8. The model has SH degree 0, one opacity in (0, 1)
+    Points (N, 3) are finite, N >= 4; colors (N, 3) 0 to 1, or uint8. The model has SH degree 0, one opacity in (0, 1)
     and the order of the points; the standard deviation is `size` times the root mean square distance to the three
     nearest others: a dense scan that needs no training looks solid at about 0.7.
     """
@@ -41,8 +39,8 @@ def kernels_from_points(
     shades = given / 255.0 if given.dtype == np.uint8 else given.astype(np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or shades.shape != points.shape:
         raise InputError(f"points have shape {points.shape} and colors {shades.shape}, expected (N, 3) for both")
-    if len(points) <= _NEIGHBOURS:
-        raise InputError(f"kernels need at least {_NEIGHBOURS + 1} points, got {len(points)}")
+    if len(points) <= _NEIGHBORS:
+        raise InputError(f"kernels need at least {_NEIGHBORS + 1} points, got {len(points)}")
     for what, array in (("points", points), ("colors", shades)):
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         if len(bad):
@@ -54,7 +52,7 @@ def kernels_from_points(
     if not (np.isfinite(size) and size > 0.0):
         raise InputError(f"size is {size}, expected a positive factor")
 
-    distances = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, 1:]  # (N, 3)
+    distances = cKDTree(points).query(points, k=_NEIGHBORS + 1)[0][:, 1:]  # (N, 3)
     spread = np.sqrt(np.mean(distances**2, axis=1))
     typical = np.median(spread[spread > 0.0]) if (spread > 0.0).any() else 1.0
     spread = np.maximum(spread, _SMALLEST * typical) * size
@@ -69,19 +67,14 @@ def kernels_from_points(
 
 
 def flat_kernels_from_points(
-    points: npt.NDArray[Any],
-    colors: npt.NDArray[Any],
-    *,
-    neighbours: int = 12,
-    opacity: float = 0.95,
-    size: float = 1.0,
+    points: npt.NDArray[Any], colors: npt.NDArray[Any], *, neighbors: int = 12, opacity: float = 0.95, size: float = 1.0
 ) -> GaussianModel:
-    """One flat Gaussian for every point, turned into the plane of its neighbours (PCA).
+    """One flat Gaussian for every point, turned into the plane of its neighbors (PCA).
 
     The k nearest points fill a disc of k times the area that a point has for itself; the standard deviations of a
-    disc are half its radius, so 2 / sqrt(k) times those of the neighbourhood are the radius of a point's own disc.
+    disc are half its radius, so 2 / sqrt(k) times those of the neighborhood are the radius of a point's own disc.
 
-    The third axis is the normal, up to its sign. More than 12 `neighbours` k (at least 3) make smoother surfaces and
+    The third axis is the normal, up to its sign. More than 12 `neighbors` k (at least 3) make smoother surfaces and
     rounder edges; at a `size` below 0.8, evenly spaced points begin to show. All else as of `kernels_from_points`.
     """
     from scipy.spatial import cKDTree
@@ -89,10 +82,10 @@ def flat_kernels_from_points(
     from engine.numerics.similarity import rotation_to_quaternion
 
     round_ones = kernels_from_points(points, colors, opacity=opacity, size=size)  # and all that is checked there
-    if neighbours < 3:
-        raise InputError(f"neighbours is {neighbours}, expected at least 3")
+    if neighbors < 3:
+        raise InputError(f"neighbors is {neighbors}, expected at least 3")
     points = np.asarray(points, dtype=np.float64)
-    k = min(neighbours, len(points) - 1)
+    k = min(neighbors, len(points) - 1)
     tree = cKDTree(points)
     log_scales, quats = round_ones.log_scales.copy(), round_ones.quats.copy()
     smallest = _SMALLEST * float(np.exp(np.median(round_ones.log_scales)))

@@ -1,4 +1,4 @@
-"""A LiDAR that scans a Gaussian model: ranges and colours by the rasterizer, along a path."""
+"""A LiDAR that scans a Gaussian model: ranges and colors by the rasterizer, along a path."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,9 @@ import numpy as np
 from engine.errors import InputError
 from engine.lab.points.cloud import PointCloud
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture.placing import Scan
+from engine.lab.sim.capture.scans import Scan
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.raster import prepare_view, sh_colors
-
-__all__ = ["Lidar", "scan_model"]
 
 _FACES = 4  # pictures around the scanner, a quarter turn each
 FINER, MOST_FOCAL = 3.0, 1000.0  # pixels of a picture a beam, and the longest focal length of one, pixels
@@ -57,7 +55,7 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
     """Scan a model from every pose of a trajectory, each scan taken at once.
 
     A beam goes through the nearest pixel of a picture three times as fine as the beams are, so that its range and
-    direction belong together exactly. Scans hold coloured points in the scanner's frame, of those beams that came back
+    direction belong together exactly. Scans hold colored points in the scanner's frame, of those beams that came back
     (InputError where none did); intensity is the luminance.
     """
     rng = np.random.default_rng(seed)
@@ -78,7 +76,7 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
 
 
 def _face(model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, face: int) -> tuple[Float64, Float64]:
-    """Points (scanner's frame) and colours of the beams within 45 degrees of a quarter's middle."""
+    """Points (scanner's frame) and colors of the beams within 45 degrees of a quarter's middle."""
     middle = 0.5 * np.pi * face
     c, s = np.cos(middle), np.sin(middle)
     to_camera = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # x right, y down, z forward

@@ -1,4 +1,4 @@
-"""Levels of detail: fewer Gaussians for far views, all from one ranking by what each contributes.
+"""Levels of detail: fewer Gaussians for far views, all from one ranking by what each contributes; and half precision.
 
 Leaving Gaussian i out costs about sum w_i^2 in squared error (w = alpha T, its blending weights): that is the rank.
 What is left out is merged into its nearest survivor with the moments of both, weighted by opacity times area, as
@@ -15,11 +15,9 @@ from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.view_set import worst_psnr_against
 from engine.lab.sim.capture.capture_kernels import principal_axes
-from engine.model import Camera, Float64, GaussianModel, Int32
+from engine.model import ATTRIBUTES, Camera, Float64, GaussianModel, Int32
 from engine.numerics.flattening import flatten
 from engine.raster import prepare_view, render
-
-__all__ = ["LevelOfDetail", "level_of_quality", "levels_of_detail", "rank_by_weight", "reduce_to"]
 
 VIEWS, VIEW_SIZE = 12, 400  # of the rig around a model that comes without cameras; pixels
 
@@ -28,7 +26,7 @@ REACH = 3.0
 
 LEAST_OPAQUE, MOST_OPAQUE = 1e-4, 0.99
 
-_STEPS = 12  # 2^-12 of the Gaussians: finer than any view tells
+_STEPS = 12  # 2^-12 of the Gaussians: finer than any view shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,3 +162,23 @@ def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) ->
     result.opacity_logits[touched] = np.log(opacity / (1.0 - opacity))
     result.sh[touched] = mean(model.sh[rows].astype(np.float64))[touched]
     return flatten(result) if model.is_flat else result
+
+
+_LARGEST = float(np.finfo(np.float16).max)
+
+
+def half_precision(model: GaussianModel) -> GaussianModel:
+    """Every value rounded to float16 and back, quaternions brought to unit length again.
+
+    No file format read here holds half floats (SPZ and SOG quantize in their own way): this is what happens in graphics
+    memory, and in files of viewers that dump it. Centers keep 11 bits, so that a scene far from its origin shows steps.
+    InputError if a center or a coefficient is too large for float16 (65,504).
+    """
+    for name in ("means", "sh"):
+        array = getattr(model, name)
+        rows = np.flatnonzero((np.abs(array) > _LARGEST).reshape(len(array), -1).any(axis=1))
+        if len(rows):
+            raise InputError(f"{name}: row {rows[0]} is too large for float16: {array[rows[0]].tolist()}")
+    half = model.with_(**{name: getattr(model, name).astype(np.float16) for name in ATTRIBUTES})
+    quats = half.quats.astype(np.float64)
+    return half.with_(quats=quats / np.linalg.norm(quats, axis=1, keepdims=True))

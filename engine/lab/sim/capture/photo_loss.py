@@ -14,8 +14,6 @@ from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float32
 from engine.numerics.image_metrics import SSIM_C1, SSIM_C2, SSIM_RADIUS, SSIM_SIGMA
 
-__all__ = ["photo_loss"]
-
 _TAPS = 2 * SSIM_RADIUS + 1
 _HALF = np.float32(0.5)
 _C1, _C2 = np.float32(SSIM_C1), np.float32(SSIM_C2)

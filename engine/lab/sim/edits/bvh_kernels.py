@@ -10,8 +10,6 @@ import numpy as np
 
 from engine.kernels.jit import inlined, kernel
 
-__all__ = ["ITEM", "LEFT", "NONE", "along_ray", "insert_all", "overlapping", "remove"]
-
 NONE = -1  # no node
 TIE = 1e-12  # gains no farther apart than this, relatively, are equal: the first swap found stays
 
@@ -125,41 +123,6 @@ def insert_all(boxes, links, root, leaves, lows, highs, items, start):
             boxes[leaf, a + 3] = highs[i, a]
         links[leaf, LEFT], links[leaf, RIGHT], links[leaf, ITEM] = NONE, NONE, items[i]
         root = _insert(boxes, links, root, leaf, inner)
-    return root
-
-
-@inlined(allocates=True)
-def _renumber(boxes, links, root, old, new):
-    """Give node `old` the number `new`, which is free."""
-    boxes[new] = boxes[old]
-    links[new] = links[old]
-    root = _hang(links, links[old, PARENT], old, new, root)
-    if links[old, LEFT] != NONE:
-        links[links[old, LEFT], PARENT] = new
-        links[links[old, RIGHT], PARENT] = new
-    return root
-
-
-@kernel(allocates=True)
-def remove(boxes, links, root, leaf):
-    """Take a leaf out and keep the node numbers gapless; the new root. The last two numbers become free."""
-    count = len(links)
-    inner = links[leaf, PARENT]
-    if inner == NONE:
-        return NONE
-    sibling = links[inner, LEFT] + links[inner, RIGHT] - leaf
-    above = links[inner, PARENT]
-    links[sibling, PARENT] = above
-    root = _hang(links, above, inner, sibling, root)
-    node = above
-    while node != NONE:
-        _refit(boxes, links, node)
-        node = links[node, PARENT]
-    first, second = max(leaf, inner), min(leaf, inner)
-    if first != count - 1:
-        root = _renumber(boxes, links, root, count - 1, first)
-    if second != count - 2:
-        root = _renumber(boxes, links, root, count - 2, second)
     return root
 
 

@@ -1,4 +1,4 @@
-"""A scene of many placed objects, found through a bounding-volume hierarchy and flattened into one model."""
+"""A scene of many placed objects, found through a bounding-volume hierarchy of boxes and flattened into one model."""
 
 from __future__ import annotations
 
@@ -10,16 +10,75 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.lab.sim.edits.bvh import BoxTree
+from engine.lab.sim.edits.bvh_kernels import NONE, along_ray, insert_all, overlapping
 from engine.lab.sim.model_placement import join
-from engine.model import Float64, GaussianModel, Int32
+from engine.model import Float64, GaussianModel, Int32, Int64
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.umeyama import Similarity
 
-__all__ = ["FlatScene", "PlacedObject", "Scene", "model_box"]
+
+@dataclass(frozen=True, eq=False)
+class BoxTree:
+    """Boxes in a binary tree, a value: inserting and removing give a new tree (a copy of 80 bytes a box)."""
+
+    boxes: Float64  # (nodes, 6) low and high corner of every node
+    links: Int64  # (nodes, 4) parent, children, item
+    root: int  # -1 in an empty tree
+
+    @classmethod
+    def empty(cls) -> BoxTree:
+        """The tree of no boxes."""
+        return cls(np.empty((0, 6)), np.empty((0, 4), np.int64), NONE)
+
+    def __len__(self) -> int:
+        return (len(self.links) + 1) // 2
+
+    def inserted(self, lows: npt.ArrayLike, highs: npt.ArrayLike, items: npt.ArrayLike) -> BoxTree:
+        """The tree with more boxes, corners low <= high (m, 3); InputError if one is malformed.
+
+        Queries answer with the items (m,): not negative, each in the tree at most once (the caller's business).
+        """
+        low, high = (np.asarray(v, dtype=np.float64).reshape(-1, 3) for v in (lows, highs))
+        names = np.asarray(items, dtype=np.int64).reshape(-1)
+        if not len(low) == len(high) == len(names):
+            raise InputError(f"{len(low)} low corners, {len(high)} high corners, {len(names)} items")
+        bad = np.flatnonzero(~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1))
+        if len(bad):
+            raise InputError(f"no box: low {low[bad[0]].tolist()}, high {high[bad[0]].tolist()}")
+        start = len(self.links)
+        nodes = max(0, 2 * (len(self) + len(names)) - 1)
+        boxes, links = np.empty((nodes, 6)), np.empty((nodes, 4), np.int64)
+        boxes[:start], links[:start] = self.boxes, self.links
+        root = insert_all(boxes, links, self.root, len(names), low, high, names, start)
+        return BoxTree(boxes, links, int(root))
+
+    def overlapping(self, low: npt.ArrayLike, high: npt.ArrayLike) -> Int64:
+        """Items whose box touches the box low..high (3,), ascending; a point is a box with low = high."""
+        if self.root == NONE:
+            return np.empty(0, np.int64)
+        bottom, top = (np.asarray(v, dtype=np.float64) for v in (low, high))
+        if bottom.shape != (3,) or top.shape != (3,) or not (bottom <= top).all():
+            raise InputError(f"no box: low {low!r}, high {high!r}")
+        return np.sort(overlapping(self.boxes, self.links, self.root, bottom, top))
+
+    def along_ray(self, origin: npt.ArrayLike, direction: npt.ArrayLike) -> tuple[Int64, Float64]:
+        """Items (m,) whose box a ray meets, nearest first, and the distances (m,) at which it enters them, scene units.
+
+        The direction need not be of unit length; not zero. Boxes that hold the origin are at distance 0.
+        """
+        start, way = (np.asarray(v, dtype=np.float64) for v in (origin, direction))
+        length = float(np.linalg.norm(way))
+        if start.shape != (3,) or way.shape != (3,) or not (np.isfinite(start).all() and 0 < length < np.inf):
+            raise InputError(f"no ray: origin {origin!r}, direction {direction!r}")
+        if self.root == NONE:
+            return np.empty(0, np.int64), np.empty(0)
+        items, entry = along_ray(self.boxes, self.links, self.root, start, way / length)
+        order = np.lexsort((items, entry))
+        return items[order], entry[order]
+
 
 BOX_DEVIATIONS = 3.0
-"""A bounding box reaches this many standard deviations past every centre, as a splat on the screen does."""
+"""A bounding box reaches this many standard deviations past every center, as a splat on the screen does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +155,6 @@ class Scene:
         tree = self.tree.inserted(lows, highs, numbers)
         return Scene(MappingProxyType(entries), tree, self.following + len(new))
 
-    def remove(self, name: str) -> Scene:
-        """The scene without an object; InputError if there is none of that name."""
-        number = self._number(name)
-        entries = {k: o for k, o in self.objects.items() if k != number}
-        return Scene(MappingProxyType(entries), self.tree.removed(number), self.following)
-
-    def replace(self, name: str, model: GaussianModel, placement: Similarity) -> Scene:
-        """The scene with an object's model and placement exchanged; it becomes the last in order."""
-        return self.remove(name).insert(name, model, placement)
-
     def get(self, name: str) -> PlacedObject:
         """The object of that name; InputError if there is none."""
         return self.objects[self._number(name)]
@@ -113,10 +162,6 @@ class Scene:
     def in_box(self, low: npt.ArrayLike, high: npt.ArrayLike) -> tuple[str, ...]:
         """Names of the objects whose bounding box touches a box (3,), (3,), in the order of insertion."""
         return tuple(self.objects[int(k)].name for k in self.tree.overlapping(low, high))
-
-    def at_point(self, point: npt.ArrayLike) -> tuple[str, ...]:
-        """Names of the objects whose bounding box holds a point (3,), in the order of insertion."""
-        return self.in_box(point, point)
 
     def along_ray(self, origin: npt.ArrayLike, direction: npt.ArrayLike) -> tuple[tuple[str, float], ...]:
         """(name, distance at which the ray enters its bounding box), nearest first; see `BoxTree.along_ray`."""

@@ -19,8 +19,6 @@ from engine.registration.pieces import register_pieces as register_each
 from engine.registration.registration_search import LEAST_REST, Registration, register
 from engine.watermark.claim import Claim
 
-__all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "verify_pieces"]
-
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
@@ -80,7 +78,7 @@ class ObjectFinding:
     asset_share: float  # share of the asset's Gaussians found
     placement: Similarity | None  # x_file = scale * R @ x_asset + t
     mirrored: bool  # whether that holds of the file's mirror image (`mirror_model`)
-    low: Float64 | None  # (3,) corners of the box of the 1 % to 99 % quantiles of the matched centres
+    low: Float64 | None  # (3,) corners of the box of the 1 % to 99 % quantiles of the matched centers
     high: Float64 | None
     # with a known scene: its objects that hold those Gaussians, and their shares of them, largest first
     objects: tuple[tuple[str, float], ...]

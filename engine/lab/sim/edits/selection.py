@@ -12,29 +12,18 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.lab.sim.attack import check_positive
 from engine.lab.sim.vectors import check_triple
-from engine.model import SH_C0, Bool, Camera, Float32, Float64, GaussianModel, Int32, Int64
+from engine.model import SH_C0, Bool, Camera, Float64, GaussianModel, Int32, Int64
 from engine.raster import prepare_view
 
-__all__ = [
-    "check_selection",
-    "lift_masks",
-    "mask_shares",
-    "project_selection",
-    "segment",
-    "segment_at",
-    "select_box",
-    "select_sphere",
-]
-
-SEGMENT_SAMPLE = 40_000  # Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once
-FLOATING = 2.0  # robust radii from the centre beyond which a Gaussian is a floater
+SEGMENT_SAMPLE = 40_000  # Gaussians on which the centers of segments are learnt; every Gaussian is then assigned once
+FLOATING = 2.0  # robust radii from the center beyond which a Gaussian is a floater
 SEGMENT_ROUNDS = 20  # Lloyd iterations; the assignment of real scenes settles within 10 to 15
 
 LEAST_WEIGHT = 0.05
 """Blending weight (pixels, summed over the views) below which a Gaussian was not really seen: less than a
 twentieth of one pixel says nothing about which side of a mask's edge it lies on."""
 
-HIDDEN_NEIGHBORS = 8  # seen neighbours that decide for a Gaussian no view shows
+HIDDEN_NEIGHBORS = 8  # seen neighbors that decide for a Gaussian no view shows
 
 
 def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
@@ -51,10 +40,10 @@ def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
 def select_box(
     model: GaussianModel, low: npt.ArrayLike, high: npt.ArrayLike, rotation: npt.ArrayLike | None = None
 ) -> Bool:
-    """(N,) bool: Gaussians whose centre lies in a box, faces included.
+    """(N,) bool: Gaussians whose center lies in a box, faces included.
 
     Its corners low <= high (3,) are in its own axes, scene units; `rotation` (3, 3) takes those to the scene's, about
-    the box's centre.
+    the box's center.
     """
     bottom, top = check_triple(low, "low"), check_triple(high, "high")
     if (bottom > top).any():
@@ -69,15 +58,15 @@ def select_box(
 
 
 def select_sphere(model: GaussianModel, center: npt.ArrayLike, radius: float) -> Bool:
-    """Gaussians whose centre lies within `radius` (scene units, > 0) of `center` (3,); (N,) bool."""
+    """Gaussians whose center lies within `radius` (scene units, > 0) of `center` (3,); (N,) bool."""
     offset = model.means.astype(np.float64) - check_triple(center, "center")
     return np.asarray(np.einsum("ij,ij->i", offset, offset) <= check_positive(radius, "radius") ** 2)
 
 
 def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed: int = 0) -> Int32:
-    """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base colour, the most populous first.
+    """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base color, the most populous first.
 
-    `color_weight` is how much a unit of colour (black to white) counts, in robust radii of the model; 0 segments by
+    `color_weight` is how much a unit of color (black to white) counts, in robust radii of the model; 0 segments by
     position alone. Segments may be empty where the model holds fewer distinct Gaussians than the `count` asked for.
     """
     from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
@@ -159,7 +148,7 @@ def lift_masks(
 
     The threshold, (0, 1), is the share of a Gaussian's visible weight that must lie inside: higher ones than 0.5 keep
     the selection off the mask's edge, lower ones reach across. `hidden` Gaussians that no view shows (the inside of an
-    object, its back) follow the majority of their nearest seen neighbours in space, or are left out.
+    object, its back) follow the majority of their nearest seen neighbors in space, or are left out.
     """
     if not 0 < threshold < 1:
         raise InputError(f"threshold must lie in (0, 1), got {threshold}")
@@ -174,14 +163,3 @@ def lift_masks(
         _, near = cKDTree(model.means[judges]).query(model.means[~seen], k=k)
         chosen[~seen] = share[judges[near.reshape(-1, k)]].mean(axis=1) >= threshold
     return chosen
-
-
-def project_selection(model: GaussianModel, selection: Bool, camera: Camera) -> Float32:
-    """(H, W) float32, 0 to 1: the part of each pixel's colour that comes from the selected Gaussians.
-
-    What stands in front of the selection hides it. 0.5 and above is the selection's mask in this view.
-    """
-    if selection.shape != (len(model),):
-        raise InputError(f"a selection must have shape ({len(model)},), got {selection.shape}")
-    image, _ = prepare_view(model, camera).render(selection.astype(np.float32)[:, None])
-    return np.clip(image[..., 0], 0.0, 1.0)

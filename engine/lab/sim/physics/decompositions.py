@@ -13,14 +13,9 @@ import numpy as np
 
 from engine.kernels.jit import inlined
 
-__all__ = ["orthogonalize", "rotation_columns", "rotation_part", "to_quaternion"]
-
-SWEEPS = 12
-"""Sweeps over the three pairs of columns; convergence is quadratic, 4 to 6 do."""
-ORTHOGONAL = 1e-15
-"""Cosine between two columns that counts as none."""
-VANISHING = 1e-14
-"""Length of a column, as a share of the largest, that is rounding alone: it has no direction."""
+SWEEPS = 12  # sweeps over the three pairs of columns; convergence is quadratic, 4 to 6 do
+ORTHOGONAL = 1e-15  # cosine between two columns that counts as none
+VANISHING = 1e-14  # length of a column, as a share of the largest, that is rounding alone: it has no direction
 
 
 @inlined
@@ -52,6 +47,38 @@ def orthogonalize(a, v):
             break
 
 
+@inlined
+def _fill_large(a, r, large, size):
+    """Column `large` of r: that of a at length 1, or a coordinate axis where it vanishes."""
+    for k in range(3):
+        if size > 0.0:
+            r[k, large] = a[k, large] / size
+        else:
+            r[k, large] = 1.0 if k == large else 0.0
+
+
+@inlined
+def _fill_middle(a, r, large, middle, size, vanishes):
+    """Column `middle` of r, perpendicular to `large` and of length 1."""
+    if not vanishes:
+        along = 0.0
+        for k in range(3):
+            r[k, middle] = a[k, middle] / size
+            along += r[k, middle] * r[k, large]
+        for k in range(3):
+            r[k, middle] -= along * r[k, large]
+    else:  # any direction across the large column: the coordinate axis that is least along it
+        axis = 0
+        for k in range(1, 3):
+            if abs(r[k, large]) < abs(r[axis, large]):
+                axis = k
+        for k in range(3):
+            r[k, middle] = (1.0 if k == axis else 0.0) - r[axis, large] * r[k, large]
+    norm = math.sqrt(r[0, middle] ** 2 + r[1, middle] ** 2 + r[2, middle] ** 2)
+    for k in range(3):
+        r[k, middle] /= norm
+
+
 @inlined(allocates=True)
 def rotation_columns(a, r):
     """Proper rotation r (3, 3) along the orthogonal columns of a; returns the index of the smallest column.
@@ -71,29 +98,8 @@ def rotation_columns(a, r):
         large, middle = j, i
     else:
         large, middle = i, j
-    if size[large] > 0.0:
-        for k in range(3):
-            r[k, large] = a[k, large] / size[large]
-    else:
-        for k in range(3):
-            r[k, large] = 1.0 if k == large else 0.0
-    if size[middle] > VANISHING * size[large]:
-        along = 0.0
-        for k in range(3):
-            r[k, middle] = a[k, middle] / size[middle]
-            along += r[k, middle] * r[k, large]
-        for k in range(3):
-            r[k, middle] -= along * r[k, large]
-    else:  # any direction across the large column: the coordinate axis that is least along it
-        axis = 0
-        for k in range(1, 3):
-            if abs(r[k, large]) < abs(r[axis, large]):
-                axis = k
-        for k in range(3):
-            r[k, middle] = (1.0 if k == axis else 0.0) - r[axis, large] * r[k, large]
-    norm = math.sqrt(r[0, middle] ** 2 + r[1, middle] ** 2 + r[2, middle] ** 2)
-    for k in range(3):
-        r[k, middle] /= norm
+    _fill_large(a, r, large, size[large])
+    _fill_middle(a, r, large, middle, size[middle], not size[middle] > VANISHING * size[large])
     for k in range(3):  # (i, j, small) is an even permutation
         m, n = (k + 1) % 3, (k + 2) % 3
         r[k, small] = r[m, i] * r[n, j] - r[n, i] * r[m, j]

@@ -1,4 +1,4 @@
-"""Closed-form deformations of a whole model: bend, twist, squash, stretch, each with its analytic gradient.
+"""Closed-form deformations of a whole model: bend, twist, squash, each with its analytic gradient.
 
 Every deformation is a map of the body's own coordinates (h along its axis, v and w across it, scene units, zero
 in its middle). It acts on the body's length, -length/2 <= h <= length/2; what lies beyond moves rigidly with the
@@ -14,14 +14,8 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 
-__all__ = ["Axes", "barrel_points", "bend", "bend_points", "longest_axis", "squash", "stretch", "twist", "twist_points"]
-
-REACH = 2.0
-"""Gaussians within this many robust radii of the centre say how long the body is."""
-END = 0.01
-"""Share of them beyond each end."""
-LONGEST = 2.5
-"""Largest stretch: at 2.94 the waist of a body that keeps its volume would be gone."""
+REACH = 2.0  # Gaussians within this many robust radii of the center say how long the body is
+END = 0.01  # share of them beyond each end
 
 PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
 """(N, 3) coordinates h, v, w, the body's length and the strength to the deformed ones and the gradients (N, 3, 3)."""
@@ -37,7 +31,7 @@ class Axes:
 
 
 def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:
-    """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the centre.
+    """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the center.
 
     `axis` is the direction of h, by default the coordinate axis along which the model is longest; `toward` that of v,
     of which the part across the axis counts, by default the next coordinate axis. InputError if the model is empty, or
@@ -90,13 +84,6 @@ def squash(model: GaussianModel, share: float, *, axis: npt.ArrayLike | None = N
     return _deform(model, barrel_points, 1.0 - share, axis)
 
 
-def stretch(model: GaussianModel, factor: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
-    """Pull the body along its axis to `factor` (1 to 2.5) times its length; it grows a waist, its volume stays."""
-    if not 1 <= factor <= LONGEST:
-        raise InputError(f"a stretch takes a factor from 1 to {LONGEST}, got {factor}")
-    return _deform(model, barrel_points, factor, axis)
-
-
 def bend_points(points: Float64, length: float, angle: float) -> tuple[Float64, Float64]:
     """Barr's bend towards +v by `angle` radians over the length: (N, 3) points, (N, 3, 3) gradients."""
     h, v, w = points.T
@@ -105,7 +92,7 @@ def bend_points(points: Float64, length: float, angle: float) -> tuple[Float64, 
     turn = angle / length * clipped
     c, s = np.cos(turn), np.sin(turn)
     beyond = h - clipped
-    # Centre of curvature at v = length / angle; the sine and versed sine over the angle stay finite without one.
+    # Center of curvature at v = length / angle; the sine and versed sine over the angle stay finite without one.
     arc = clipped * np.sinc(turn / np.pi)  # sin(turn) / curvature
     rise = 0.5 * clipped * turn * np.sinc(0.5 * turn / np.pi) ** 2  # (1 - cos(turn)) / curvature
     moved = np.stack([arc - s * v + c * beyond, rise + c * v + s * beyond, w], axis=-1)

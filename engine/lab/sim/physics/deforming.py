@@ -1,4 +1,4 @@
-"""A model after its matter has moved: means, covariances and colours follow (Eq 12)."""
+"""A model after its matter has moved: means, covariances and colors follow (Eq 12)."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
@@ -13,14 +13,9 @@ from engine.lab.sim.physics.decompositions import orthogonalize, rotation_column
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.spherical_harmonics import sh_rotation
 
-__all__ = ["deform_model", "interpolate", "polar_rotations"]
-
-THINNEST = 1e-10
-"""Smallest standard deviation kept, as a share of the Gaussian's largest: log scales stay finite."""
-TINIEST = 1e-30
-"""Smallest standard deviation at all, scene units."""
-BATCH = 16_384
-"""Rotations turned into Wigner matrices at a time: 16 MB in float32."""
+THINNEST = 1e-10  # smallest standard deviation kept, as a share of the Gaussian's largest: log scales stay finite
+TINIEST = 1e-30  # smallest standard deviation at all, scene units
+BATCH = 16_384  # rotations turned into Wigner matrices at a time: 16 MB in float32
 
 
 def deform_model(
@@ -45,7 +40,7 @@ def deform_model(
     if count and (index.min() < 0 or index.max() >= len(matrices)):
         raise InputError(f"elements {index.min()} to {index.max()} of {len(matrices)} gradients")
     if not (np.isfinite(matrices).all() and np.isfinite(means).all()):
-        raise InputError("deformed centres and gradients must be finite")
+        raise InputError("deformed centers and gradients must be finite")
     log_scales, quats = np.empty_like(model.log_scales), np.empty_like(model.quats)
     deform_covariances(model.log_scales, model.quats, matrices, index, log_scales, quats)
     return model.with_(means=means, log_scales=log_scales, quats=quats, sh=_turned(model, matrices, index))

@@ -1,23 +1,21 @@
-"""Steps of an owner who looks closer: what was edited, what is whose, and the mark read with the edits known."""
+"""Steps of an owner who analyzes a suspect: edit maps, object inventories, and the mark read with the edits known."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.errors import InputError
+from engine.lab.sim.edits.edit import verify_edited
 from engine.lab.sim.edits.edit_map import Change, EditMap, map_edits
 from engine.lab.sim.edits.pieces import verify_pieces
-from engine.lab.sim.edits.tracking import verify_edited
 from engine.lab.sim.model_placement import join
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, Tracked, World, step
 from engine.lab.sim.scenario.tables import Table, given
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, Tracked, World, step
 from engine.lab.sim.variants.hybrid import HybridPart, assemble, verify_hybrid
 from engine.model import SH_C0, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.umeyama import Similarity
 from engine.watermark.claim import Claim
-
-__all__ = ["KINDS", "paint_map"]
 
 KINDS: dict[str, StepKind] = {}
 
@@ -28,8 +26,7 @@ COLORS = {
     Change.FOREIGN: (0.8, 0.25, 0.85),
 }
 REMOVED = (0.9, 0.1, 0.15)
-TOLD = 6
-"""Regions of a map that are told in words."""
+DESCRIBED = 6  # regions of a map that are described in words
 
 
 def _only(world: World, on: str) -> str:
@@ -41,12 +38,12 @@ def _only(world: World, on: str) -> str:
     return name
 
 
-@step(KINDS, "map_edits", "a map of what was edited, in colours; nobody tells: least, on")
+@step(KINDS, "map_edits", "a map of the edits found without a track of them: least, on")
 @dataclass(frozen=True)
 class MapEdits:
-    """Orange recoloured, blue moved, yellow copied, violet foreign, red removed; the world stays as it was."""
+    """Orange recolored, blue moved, yellow copied, violet foreign, red removed; the world stays as it was."""
 
-    least: float = given(Table.number, 0.02, 1e-6, 10.0)  # smallest colour displacement of interest, DC units
+    least: float = given(Table.number, 0.02, 1e-6, 10.0)  # smallest color displacement of interest, DC units
     on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
@@ -54,13 +51,13 @@ class MapEdits:
         suspect = world.objects[name] if name in world.objects else world.flat()
         opened = world.record_of(name)
         found = map_edits(suspect, opened, least=self.least)
-        notes = [region.summary() for region in found.regions[:TOLD]] or ["nothing was edited"]
+        notes = [region.summary() for region in found.regions[:DESCRIBED]] or ["nothing was edited"]
         notes.append(f"untouched Gaussians show {found.mark_left:.2f} of the mark")
         return Outcome(world, shown=paint_map(suspect, found, opened.reference), notes=tuple(notes))
 
 
 def paint_map(suspect: GaussianModel, found: EditMap, reference: GaussianModel) -> GaussianModel:
-    """The suspect in grey, its edits in their colours, and in red what was removed."""
+    """The suspect in grey, its edits in their colors, and in red what was removed."""
     plain = suspect.with_(sh=suspect.sh[:, :1])
     grey = (0.5 + SH_C0 * plain.sh[:, 0]).mean(axis=1, keepdims=True).clip(0.0, 1.0)  # (N, 1)
     colors = np.repeat(0.25 + 0.5 * grey, 3, axis=1)
@@ -78,7 +75,7 @@ def paint_map(suspect: GaussianModel, found: EditMap, reference: GaussianModel) 
     return join(painted, transform_model(gone, back.scale, back.R, back.t))
 
 
-@step(KINDS, "known_edits", "it is read with its edits known, as its owner wrote them down: on")
+@step(KINDS, "known_edits", "the mark is read with the owner's track of edits: on")
 @dataclass(frozen=True)
 class KnownEdits:
     """The edits carried out on the record's reference, C'_k = C_k + delta C_k; a track ends at what is no edit."""
@@ -89,13 +86,13 @@ class KnownEdits:
         name = _only(world, self.on)
         known = world.tracks.get(name)
         if known is None:
-            raise InputError(f"no edits of {name!r} were written down: it moves, or is one of several copies")
+            raise InputError(f"{name!r} has no track of edits: it moves, or is one of several copies")
         claim = verify_edited(world.flat(), world.record_of(name), known.track).claim
         names = ", ".join(edit.name for edit in known.track.edits) or "none"
         return Outcome(world, claims={name: claim}, notes=(f"{len(known.track.edits)} edits known: {names}",))
 
 
-@step(KINDS, "undo", "the last edits are taken back: edits, on")
+@step(KINDS, "undo", "the last edits are undone: edits, on")
 @dataclass(frozen=True)
 class Undo:
     """Bit for bit, as long as nothing but edits has happened since."""
@@ -107,14 +104,14 @@ class Undo:
         name, model = world.target(self.on)
         known = world.tracks.get(name)
         if known is None or known.end is not model:
-            raise InputError(f"the edits of {name!r} cannot be taken back: something else has happened to it since")
+            raise InputError(f"the edits of {name!r} cannot be undone: another step has changed it since")
         before = known.track.undo(model, self.edits)
         left = replace(known.track, edits=known.track.edits[: -self.edits])
         world = world.put(name, before)
         return Outcome(replace(world, tracks={**world.tracks, name: Tracked(left, before)}))
 
 
-@step(KINDS, "read_pieces", "parts were moved: each record is read piece by piece: on")
+@step(KINDS, "read_pieces", "the record is read piece by piece, parts having been moved: on")
 @dataclass(frozen=True)
 class ReadPieces:
     """Registers what earlier pieces left over, then makes one claim of all pieces."""
@@ -129,7 +126,7 @@ class ReadPieces:
         return Outcome(world, claims=claims, notes=notes)
 
 
-@step(KINDS, "inventory", "whose is what in one file of many objects, hybrid ones too: instances")
+@step(KINDS, "inventory", "every record is searched in one file of many objects: instances")
 @dataclass(frozen=True)
 class Inventory:
     """Every record is looked for `instances` times; all tries count. What moves is looked for at its moment."""

@@ -6,28 +6,22 @@ import numpy as np
 
 from engine.flows.views.camera_rig import UP, Extent, direction, measure_extent
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture.from_points import scans_to_model
-from engine.lab.sim.capture.half_precision import half_precision
+from engine.lab.sim.attack_cost import model_cost
 from engine.lab.sim.capture.lidar import Lidar, scan_model
-from engine.lab.sim.capture.lod import level_of_quality, levels_of_detail
-from engine.lab.sim.capture.posing import odometry
-from engine.lab.sim.cost import model_cost
+from engine.lab.sim.capture.lod import half_precision, level_of_quality, levels_of_detail
+from engine.lab.sim.capture.pose_estimation import odometry
+from engine.lab.sim.capture.scans import scans_to_model
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
 from engine.lab.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
 from engine.model import Float64
 from engine.numerics.similarity import rotation_to_quaternion, transform_model
 
-__all__ = ["KINDS", "scanning_path"]
-
 KINDS: dict[str, StepKind] = {}
 
-AROUND, INSIDE = 2.0, 0.3
-"""Radii from the middle at which the scanner goes round an object, or within a room."""
-LOWEST, HIGHEST = -5.0, 35.0
-"""Elevations between which it goes up and down on its way, degrees."""
-FARTHEST = 10.0
-"""Range of the scanner, radii."""
+AROUND, INSIDE = 2.0, 0.3  # radii from the middle at which the scanner goes round an object, or within a room
+LOWEST, HIGHEST = -5.0, 35.0  # elevations between which it goes up and down on its way, degrees
+FARTHEST = 10.0  # range of the scanner, radii
 
 
 def scanning_path(extent: Extent, stops: int) -> Trajectory:
@@ -80,7 +74,7 @@ class Scan:
             path = found
         made = scans_to_model(scans, path)
         seen = transform_model(made.model, 1.0, np.eye(3), made.origin)
-        notes.append(f"{made.report['points']} points in {len(scans)} scans, {len(seen)} Gaussians of them")
+        notes.append(f"{made.points_read} points in {len(scans)} scans, {len(seen)} Gaussians of them")
         cost = model_cost(model, seen, views=COST_VIEWS, size=COST_SIZE)
         return Outcome(world.put(name, seen), notes=tuple(notes), cost=cost)
 

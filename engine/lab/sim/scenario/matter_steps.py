@@ -23,26 +23,22 @@ from engine.lab.sim.physics.body import (
     pose,
     strain_norms,
 )
-from engine.lab.sim.physics.conserved import energy
+from engine.lab.sim.physics.world import energy
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
 from engine.model import SH_C0, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
-
-__all__ = ["KINDS"]
 
 KINDS: dict[str, StepKind] = {}
 
 GRAVITY = 9.81
-FLOOR_QUANTILE = 0.005
-"""The floor lies below all but this share of a body's centres: a floater does not hold it up."""
+FLOOR_QUANTILE = 0.005  # the floor lies below all but this share of a body's centers: a floater does not hold it up
 BALL_GAUSSIANS = 4000
-LIGHT = np.array([0.4, -0.8, 0.45])
-"""Where the light comes from by which a ball is drawn."""
+LIGHT = np.array([0.4, -0.8, 0.45])  # where the light comes from by which a ball is drawn
 
 
 def read_ball(table: Table, name: str) -> tuple[float, ...] | None:
-    """Centre and radius of a fixed ball, or None where not given."""
+    """Center and radius of a fixed ball, or None where not given."""
     if name not in table:
         return None
     ball = table.vector(name, None, 4)
@@ -60,7 +56,7 @@ class _Simulate(ABC):
     compliance: float = given(Table.number, 2e-5, 0.0, 1.0)  # 1 / Young's modulus, 1/Pa
     resolution: int = given(Table.integer, 16, 2, 96)  # voxels along the longest side of a body
     ball: tuple[float, ...] | None = given(read_ball)  # fixed: x, y, z and radius, radii about the middle
-    strain: bool = given(Table.flag, False)  # whether the film shows strain for colour
+    strain: bool = given(Table.flag, False)  # whether the film shows strain for color
     on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:

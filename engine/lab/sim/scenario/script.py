@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from engine.errors import InputError
-from engine.lab.sim.scenario import audit_steps, capture_steps, edit_steps, life_steps, matter_steps, theft_steps
-from engine.lab.sim.scenario.marking import Part
+from engine.lab.sim.scenario import audit_steps, capture_steps, edit_steps, matter_steps, theft_steps
+from engine.lab.sim.scenario.sources import Part
+from engine.lab.sim.scenario.state import Step
 from engine.lab.sim.scenario.tables import Table, given, read_table
-from engine.lab.sim.scenario.world import Step
-
-__all__ = ["KINDS", "Film", "NamedStep", "Scenario", "read_scenario"]
 
 T = TypeVar("T")
 
@@ -21,14 +19,13 @@ KINDS = {
     **theft_steps.KINDS,
     **edit_steps.KINDS,
     **matter_steps.KINDS,
-    **life_steps.KINDS,
     **capture_steps.KINDS,
     **theft_steps.PATIENT,
     **audit_steps.KINDS,
 }
 """Every kind of step, by the word that a scenario calls it with."""
 
-TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "time", "on")
+LABELING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "time", "on")
 """Values that make up the label of a step without one."""
 
 
@@ -98,5 +95,5 @@ def _step(table: Table) -> NamedStep:
     word = table.text("do", choices=tuple(KINDS))
     label = table.text("label", "")
     step = _whole(table, KINDS[word].made)
-    told = [str(table.values[name]) for name in TELLING if name in table]
-    return NamedStep(label or " ".join([word, *told]), step)
+    values = [str(table.values[name]) for name in LABELING if name in table]
+    return NamedStep(label or " ".join([word, *values]), step)

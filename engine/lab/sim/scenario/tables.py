@@ -1,6 +1,6 @@
 """Strict reading of TOML tables: every value has a type and a range, and unknown names are errors.
 
-A dataclass says beside each field how its value is read, `views: int = given(Table.integer, 100, 1, 10_000)`, and
+Each field of a dataclass says how its value is read, `views: int = given(Table.integer, 100, 1, 10_000)`, and
 `Table.read` makes one.
 """
 
@@ -16,12 +16,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from engine.errors import InputError
 
-__all__ = ["Table", "given", "read_table"]
-
-MAX_BYTES = 1 << 20
-"""A scenario is written by a person; anything larger is no scenario."""
-LEAST_SIDE = 64
-"""Of a picture, pixels."""
+MAX_BYTES = 1 << 20  # a scenario is written by a person; anything larger is no scenario
+LEAST_SIDE = 64  # of a picture, pixels
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -29,8 +25,8 @@ T = TypeVar("T")
 
 def given(read: Callable[Concatenate[Table, str, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
     """A field of a dataclass, read from the table's value of the same name with these defaults and limits."""
-    asked: T = field(metadata={given: lambda table, name: read(table, name, *args, **kwargs)})
-    return asked
+    made: T = field(metadata={given: lambda table, name: read(table, name, *args, **kwargs)})
+    return made
 
 
 def read_table(path: Path) -> Table:
@@ -50,30 +46,30 @@ def read_table(path: Path) -> Table:
 class Table:
     """One TOML table and its place in the file, as errors name it: `fall.toml: steps[2]`.
 
-    Every name must have been asked for before `done`; names of other files are relative to `folder`.
+    `done` refuses names that were not read; names of other files are relative to `folder`.
     """
 
     def __init__(self, values: Mapping[str, Any], place: str, folder: Path) -> None:
         self.place = place
         self.folder = folder
         self.values = values
-        self._asked: set[str] = set()
+        self._known: set[str] = set()
 
     def __contains__(self, name: str) -> bool:
         return name in self.values
 
     def done(self) -> None:
-        """Refuse names that nobody asked for."""
+        """Refuse names that no field has read."""
         for name in self.values:
-            if name not in self._asked:
-                near = difflib.get_close_matches(name, self._asked, 1)
-                hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(self._asked))}"
+            if name not in self._known:
+                near = difflib.get_close_matches(name, self._known, 1)
+                hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(self._known))}"
                 raise InputError(f"{self.place}: {name!r} is not known here{hint}")
 
     def read(self, kind: type[T]) -> T:
         """A dataclass, all of whose fields are `given`, in their order."""
-        asked = fields(kind)  # type: ignore[arg-type]  # no type says "some dataclass"
-        return kind(**{one.name: one.metadata[given](self, one.name) for one in asked})
+        known = fields(kind)  # type: ignore[arg-type]  # no type says "some dataclass"
+        return kind(**{one.name: one.metadata[given](self, one.name) for one in known})
 
     def text(self, name: str, default: str | None = None, choices: Sequence[str] = ()) -> str:
         """A string, of `choices` where given."""
@@ -122,14 +118,14 @@ class Table:
     def strength(self, name: str) -> float | str | None:
         """A number or a word, or None where not given."""
         if name not in self:
-            self._asked.add(name)
+            self._known.add(name)
             return None
         value = self._take(name, None, (int, float, str), "a number or a word")
         return value if isinstance(value, str) else float(value)
 
     def table(self, name: str) -> Table | None:
         """A table inside, or None where not given."""
-        self._asked.add(name)
+        self._known.add(name)
         if name not in self:
             return None
         return Table(self._take(name, None, dict, "a table"), f"{self.place}: {name}", self.folder)
@@ -153,7 +149,7 @@ class Table:
         return tuple(found)
 
     def _take(self, name: str, default: Any, kind: type | tuple[type, ...], what: str) -> Any:
-        self._asked.add(name)
+        self._known.add(name)
         if name not in self.values:
             if default is None:
                 raise InputError(f"{self.place}: {name} is missing; it is {what}")

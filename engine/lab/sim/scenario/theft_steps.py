@@ -1,4 +1,4 @@
-"""Steps of thieves: attacks on models, pictures that turn up, fine-tuning, re-training from renders, collusion."""
+"""Steps of an attacker: attacks on models, pictures that turn up, fine-tuning, re-training from renders, collusion."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -7,28 +7,22 @@ import numpy as np
 
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.adversaries.collusion import RULES, collude
-from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain
+from engine.lab.sim.adversaries.retraining import SETTINGS, RetrainConfig, fine_tune, pictures_of, quality_lost, retrain
 from engine.lab.sim.attack import Strength
+from engine.lab.sim.attack_cost import model_cost
 from engine.lab.sim.attacks import image_attack, model_attack
-from engine.lab.sim.capture.training import TrainConfig
-from engine.lab.sim.cost import model_cost
-from engine.lab.sim.fine_tuning import SETTINGS, fine_tune, pictures_of
-from engine.lab.sim.scenario.marking import mark
+from engine.lab.sim.capture.trainer import TrainConfig
+from engine.lab.sim.scenario.sources import mark
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
 from engine.model import Float32
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.raster import render
 from engine.registration.registration_search import register
 
-__all__ = ["KINDS", "PATIENT"]
-
 KINDS: dict[str, StepKind] = {}
-PATIENT: dict[str, StepKind] = {}
-"""Steps of thieves who train models of their own or have several copies."""
-
-COST_VIEWS, COST_SIZE = 2, 300
-"""Neutral views in which an attack's cost is measured, and their side in pixels."""
+PATIENT: dict[str, StepKind] = {}  # steps of attackers who train models of their own or have several copies
+COST_VIEWS, COST_SIZE = 2, 300  # neutral views in which an attack's cost is measured, and their side in pixels
 
 
 Link = tuple[str, Strength | None]
@@ -74,7 +68,7 @@ class AttackModel:
 @step(KINDS, "pictures", "only pictures turn up: views, size, attacks = [[name, strength]], known_cameras, on")
 @dataclass(frozen=True)
 class TakePictures:
-    """Views that nobody planned, through a chain of image attacks; the world stays as it was."""
+    """Random views, through a chain of image attacks; the world stays as it was."""
 
     attacks: tuple[Link, ...] = given(read_chain)
     size: tuple[int, int] = given(Table.size, (800, 600), (4096, 4096))

@@ -1,7 +1,7 @@
 """Generated models (DreamGaussian and its kin): a hook that marks at the end of generation, and a way to make one.
 
 Tang, Ren, Zhou, Liu and Zeng, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation"
-(ICLR 2024) optimises a few thousand Gaussians of SH degree 0 from a random ball. Its PLY holds raw parameters, with
+(ICLR 2024) optimizes a few thousand Gaussians of SH degree 0 from a random ball. Its PLY holds raw parameters, with
 quaternions of any length; `engine.formats.read_model` reads that as it is.
 """
 
@@ -25,13 +25,10 @@ from engine.formats.ply.gaussians import write_ply
 from engine.model import Camera, Float32, GaussianModel
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["FEW_GAUSSIANS", "Marking", "generate_from_views", "marking", "write_raw_ply"]
-
 P = ParamSpec("P")
 Generated = TypeVar("Generated", GaussianModel, str, Path)
 
-BALL_RADIUS = 0.5
-"""Of the ball of random points that DreamGaussian starts from, in radii of the object."""
+BALL_RADIUS = 0.5  # of the ball of random points that DreamGaussian starts from, in radii of the object
 BALL_POINTS = 5_000
 
 FEW_GAUSSIANS = profile("balanced", psnr_db=44.0, ssim=0.9965, quantize=HvqConfig(min_members=1))
@@ -138,15 +135,14 @@ def generate_from_views(
     seed: int = 0,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Optimise Gaussians from a random ball of `points`, as DreamGaussian does, towards given views of an object.
+    """Optimize Gaussians from a random ball of `points`, as DreamGaussian does, towards given views of an object.
 
     The published system is guided by a diffusion model, which is not to be had here: renders of a real object, on black
     and from cameras around it, take its place. What comes out is like it in all that a mark meets: a few thousand large
-    Gaussians without view-dependent colour. Results must say that it was made so.
+    Gaussians without view-dependent color. Results must say that it was made so.
     """
     from engine.lab.sim.capture.capture_kernels import kernels_from_points
-    from engine.lab.sim.capture.densification import DensifyConfig
-    from engine.lab.sim.capture.training import TrainConfig, train
+    from engine.lab.sim.capture.trainer import DensifyConfig, TrainConfig, train
 
     rng = np.random.default_rng(seed)
     eyes = np.stack([camera.position for camera in cameras])
@@ -158,7 +154,7 @@ def generate_from_views(
     ball = rng.standard_normal((points, 3))
     ball *= BALL_RADIUS * reach.mean() * rng.random((points, 1)) ** (1 / 3) / np.linalg.norm(ball, axis=1)[:, None]
     start = kernels_from_points(center + ball, rng.random((points, 3)))
-    config = TrainConfig(  # DreamGaussian's rates: 20 times INRIA's for the centres, since steps are few
+    config = TrainConfig(  # DreamGaussian's rates: 20 times INRIA's for the centers, since steps are few
         steps=steps,
         position_rate=1e-3,
         position_rate_end=2e-5,
@@ -171,6 +167,6 @@ def generate_from_views(
 
 
 def write_raw_ply(model: GaussianModel, *, seed: int = 0) -> Iterator[bytes]:
-    """A PLY as generators write it: quaternions of the lengths their optimiser left them, here drawn from a seed."""
+    """A PLY as generators write it: quaternions of the lengths their optimizer left them, here drawn from a seed."""
     lengths = np.random.default_rng(seed).lognormal(0.0, 0.4, (len(model), 1))
     return write_ply(model.with_(quats=(model.quats * lengths).astype(np.float32)))

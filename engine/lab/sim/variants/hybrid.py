@@ -17,8 +17,6 @@ from engine.numerics.umeyama import Similarity
 from engine.scenes.clip_marking import Moving, move_record, visible
 from engine.scenes.codebook_model import CodebookModel
 
-__all__ = ["HybridPart", "assemble", "verify_hybrid"]
-
 
 @dataclass(frozen=True, eq=False)
 class HybridPart:

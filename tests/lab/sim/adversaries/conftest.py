@@ -28,7 +28,7 @@ class Marked:
 @pytest.fixture(scope="session")
 def plant() -> GaussianModel:
     """Every sixth Gaussian of a captured plant."""
-    whole = read_model(Path(__file__).parents[2] / "data" / "plant.splat").model
+    whole = read_model(Path(__file__).parents[3] / "data" / "plant.splat").model
     return whole.take(np.arange(0, len(whole), 6))
 
 

@@ -14,7 +14,7 @@ from engine.numerics.image_metrics import psnr
 from engine.raster import render
 
 
-def test_baked_colours_are_closer_to_the_views_than_plain_truncation(model: GaussianModel) -> None:
+def test_baked_colors_are_closer_to_the_views_than_plain_truncation(model: GaussianModel) -> None:
     tilted = model.sh.copy()
     tilted[:, 1:4] += 0.3  # a trend over the sphere, so that the mean over the views is not the DC
     tilted = model.with_(sh=tilted)

@@ -82,7 +82,7 @@ def test_gaussian_marker_drops_one_block(model: GaussianModel) -> None:
     assert gone[-1] - gone[0] == 49
 
 
-def test_colour_bits_leave_geometry(model: GaussianModel) -> None:
+def test_color_bits_leave_geometry(model: GaussianModel) -> None:
     out = run("quantize_colors", model, 3)
     assert all(len(np.unique(out.sh[:, k, c])) <= 8 for k in range(9) for c in range(3))
     untouched(model, out, "sh")

@@ -7,7 +7,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.sim.adversaries.density import cluster_by_density
+from engine.lab.sim.adversaries.purification import cluster_by_density
 from engine.lab.sim.attacks import model_attack
 from engine.lab.sim.model_placement import join
 from engine.lab.sim.model_population import impact
@@ -29,7 +29,7 @@ def test_the_fast_clusters_are_those_of_all_pairs(seed: int) -> None:
     assert len(partition(fast)) >= 2
 
 
-def test_neighbours_alone_find_well_parted_blobs() -> None:
+def test_neighbors_alone_find_well_parted_blobs() -> None:
     rng = np.random.default_rng(1)
     centers = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], float)
     points = np.concatenate([c + rng.standard_normal((300, 3)) for c in centers] + [rng.uniform(-40, 40, (30, 3))])
@@ -46,7 +46,7 @@ def test_neighbours_alone_find_well_parted_blobs() -> None:
 def test_few_points_and_equal_points_are_no_trouble() -> None:
     assert (cluster_by_density(np.zeros((3, 2)), 4, 8) == -1).all()
     assert len(cluster_by_density(np.zeros((50, 2)), 4, 8)) == 50
-    with pytest.raises(InputError, match="graph >= neighbours"):
+    with pytest.raises(InputError, match="graph >= neighbors"):
         cluster_by_density(np.zeros((50, 2)), 8, 8, graph=4)
 
 

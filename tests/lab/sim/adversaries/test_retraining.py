@@ -18,14 +18,14 @@ from engine.formats import read_model
 from engine.lab.evaluate.bench.training import read_retrained
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain, retraining_steps
-from engine.lab.sim.capture.training import TrainConfig
+from engine.lab.sim.capture.trainer import TrainConfig
 from engine.model import Camera, GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.registration.registration_search import register
 from engine.watermark.rates import MADE_FIRST
 from tests.registration.registration_cases import MOVES
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 CONFIG = RetrainConfig(
     points=12_000,
     train=TrainConfig(steps=240, sh_degree=0, densify=None, opacity_rate=0.02, color_rate=0.01, scale_rate=0.01),

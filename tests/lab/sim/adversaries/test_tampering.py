@@ -10,8 +10,8 @@ from engine.flows.verify.verification import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.adversaries.collusion import RULES, collude
 from engine.lab.sim.adversaries.evolution import Budget, evolve
+from engine.lab.sim.attack_cost import model_cost
 from engine.lab.sim.attacks import model_attack
-from engine.lab.sim.cost import model_cost
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render

@@ -22,7 +22,7 @@ def on_box(low: Float64, high: Float64, count: int, rng: np.random.Generator) ->
 
 
 def room_points(count: int = 12000, seed: int = 0) -> tuple[Float64, Float64]:
-    """Points on the surfaces, and a smooth colour for each."""
+    """Points on the surfaces, and a smooth color for each."""
     rng = np.random.default_rng(seed)
     parts = [on_box(LOW, HIGH, count, rng)]
     parts += [on_box(np.array(low), np.array(high), count // 8, rng) for low, high in FURNITURE]

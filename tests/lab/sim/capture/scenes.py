@@ -13,7 +13,7 @@ from engine.raster import render
 
 
 def shell(count: int = 400, seed: int = 0) -> GaussianModel:
-    """Coloured Gaussians on a ball."""
+    """Colored Gaussians on a ball."""
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal((count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -41,7 +41,7 @@ def photos(model: GaussianModel, cameras: list[Camera]) -> list[Float32]:
 
 
 def write_colmap(folder: Path, model: GaussianModel, cameras: list[Camera], lens: str = "") -> Path:
-    """The photos as PNG, and the reconstruction that would have found the model's centres."""
+    """The photos as PNG, and the reconstruction that would have found the model's centers."""
     images = folder / "images"
     images.mkdir(parents=True)
     first = cameras[0]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.lab.sim.capture.densification import CenterGradients, DensifyConfig, densify
-from engine.lab.sim.capture.parameters import NAMES, Parameters
+from engine.lab.sim.capture.trainer import NAMES, CenterGradients, DensifyConfig, Parameters, densify
 from tests.lab.sim.capture.scenes import shell
 
 CONFIG = DensifyConfig(gradient=0.5, split_size=0.01, max_size=0.1)

@@ -11,9 +11,8 @@ import pytest
 from engine.errors import InputError
 from engine.lab.points.reconstruction import read_reconstruction
 from engine.lab.sim.capture.capture_kernels import kernels_from_points
-from engine.lab.sim.capture.densification import DensifyConfig
-from engine.lab.sim.capture.from_colmap import load_photos, train_from_colmap
-from engine.lab.sim.capture.training import TrainConfig
+from engine.lab.sim.capture.photos import load_photos, train_from_colmap
+from engine.lab.sim.capture.trainer import DensifyConfig, TrainConfig
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from tests.lab.sim.capture.scenes import orbit, shell, write_colmap
@@ -29,15 +28,14 @@ def test_train_on_some_and_compare_with_the_rest(tmp_path: Path) -> None:
     capture = train_from_colmap(
         tmp_path, images, hold_out=6, config=CONFIG, progress=lambda stage, part: told.append((stage, part))
     )
-    report = capture.report
-    assert report["held_out"] == ["p03.png", "p09.png"]
-    assert (report["photos"], report["points"], report["steps"]) == (12, 400, 150)
-    assert report["gaussians"] == len(capture.model) > 400
+    assert [capture.photos.names[k] for k in capture.photos.held_out] == ["p03.png", "p09.png"]
+    assert len(capture.psnr) == 12
+    assert len(capture.model) > 400
     start = kernels_from_points(*_points(tmp_path))
     untrained = psnr(render(start, cameras[3]), capture.photos.images[3])
-    assert report["psnr"]["p03.png"] > untrained + 5
-    assert report["psnr_held_out"] == pytest.approx(np.mean([report["psnr"]["p03.png"], report["psnr"]["p09.png"]]))
-    assert report["psnr_trained"] > report["psnr_held_out"] > 20
+    assert capture.psnr[3] > untrained + 5
+    assert capture.psnr_held_out == pytest.approx(np.mean([capture.psnr[3], capture.psnr[9]]))
+    assert capture.psnr_trained > capture.psnr_held_out > 20
     assert {stage for stage, _ in told} == {"photos", "train", "compare"}
     assert told[-1] == ("compare", 1.0)
 

@@ -12,14 +12,20 @@ from engine.errors import InputError
 from engine.flows.embed.profiles import profile
 from engine.flows.verify.verification import verify_model
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
-from engine.lab.sim.capture.half_precision import half_precision
-from engine.lab.sim.capture.lod import LevelOfDetail, level_of_quality, levels_of_detail, rank_by_weight, reduce_to
+from engine.lab.sim.capture.lod import (
+    LevelOfDetail,
+    half_precision,
+    level_of_quality,
+    levels_of_detail,
+    rank_by_weight,
+    reduce_to,
+)
 from engine.model import Camera, Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.claim import Verdict
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @cache
@@ -35,7 +41,7 @@ def front(model: GaussianModel, size: int = 96, far: float = 3.2) -> list[Camera
 
 
 def weights_slowly(model: GaussianModel, camera: Camera) -> Float64:
-    """Sum of squared weights: the image is linear in colours, so each Gaussian alone in white shows its weight."""
+    """Sum of squared weights: the image is linear in colors, so each Gaussian alone in white shows its weight."""
     total = np.zeros(len(model))
     for k in range(len(model)):
         colors = np.zeros((len(model), 1, 3), np.float32)

@@ -9,9 +9,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.sim.capture.capture_kernels import kernels_from_points
-from engine.lab.sim.capture.densification import DensifyConfig
-from engine.lab.sim.capture.parameters import NAMES
-from engine.lab.sim.capture.training import TrainConfig, Trainer, cameras_extent, train
+from engine.lab.sim.capture.trainer import NAMES, DensifyConfig, TrainConfig, Trainer, cameras_extent, train
 from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
@@ -29,7 +27,7 @@ def quality(model: GaussianModel, which: int) -> float:
 
 
 def points(seed: int = 0, count: int = 150) -> GaussianModel:
-    """What a reconstruction would know: some centres, a little off, and the colours there."""
+    """What a reconstruction would know: some centers, a little off, and the colors there."""
     rng = np.random.default_rng(seed)
     chosen = TRUTH.take(rng.choice(len(TRUTH), count, replace=False))
     shades = np.clip(0.5 + 0.282 * chosen.sh[:, 0], 0, 1)
@@ -116,7 +114,7 @@ def test_a_pickled_training_goes_on_where_it_was() -> None:
 
 
 def test_nothing_hides_in_a_random_background() -> None:
-    """Faint Gaussians over black photos: on black they may stay faint, on random colours they must cover."""
+    """Faint Gaussians over black photos: on black they may stay faint, on random colors they must cover."""
     faint = TRUTH.with_(opacity_logits=np.full(len(TRUTH), -3.0, np.float32), sh=np.full_like(TRUTH.sh, -1.772))
     black = [np.zeros_like(photo) for photo in PHOTOS]
     opacities = []

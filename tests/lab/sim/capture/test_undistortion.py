@@ -10,7 +10,7 @@ from PIL import Image
 
 from engine.errors import CameraError, InputError
 from engine.formats.cameras.colmap import PosedPhoto
-from engine.lab.sim.capture.undistortion import read_photo, undistort
+from engine.lab.sim.capture.photos import read_photo, undistort
 from engine.model import Camera
 
 W, H = 160, 120

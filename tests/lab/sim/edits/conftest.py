@@ -12,9 +12,10 @@ from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
-from engine.model import GaussianModel
+from engine.model import Bool, Camera, Float32, GaussianModel
+from engine.raster import prepare_view
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 QUICK = EmbedConfig(views=3, view_size=200, landmark_views=0)
 
 
@@ -48,7 +49,7 @@ def scene() -> MarkedScene:
 
 
 def solid(seed: int, n: int = 3000) -> GaussianModel:
-    """A knobbly ball of its own shape and colours, SH degree 1."""
+    """A knobbly ball of its own shape and colors, SH degree 1."""
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal((n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -81,3 +82,9 @@ def objects() -> dict[str, tuple[GaussianModel, OpenedRecord]]:
 @pytest.fixture(autouse=True)
 def _small(small_renders: None) -> None:
     """How much renders say is the matter of tests/pipeline."""
+
+
+def project_selection(model: GaussianModel, selection: Bool, camera: Camera) -> Float32:
+    """(H, W) from 0 to 1: the part of each pixel's color that comes from the selected Gaussians."""
+    image, _ = prepare_view(model, camera).render(selection.astype(np.float32)[:, None])
+    return np.clip(image[..., 0], 0.0, 1.0)

@@ -9,22 +9,20 @@ from engine.errors import InputError
 from engine.flows.verify.verification import verify_model
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import model_attack
-from engine.lab.sim.edits import (
-    Change,
+from engine.lab.sim.edits.edit import (
     EditTrack,
     delete,
     duplicate,
     edited_record,
-    map_edits,
     move,
     recolor,
     recolor_towards,
-    register_pieces,
     rotate,
-    select_sphere,
     verify_edited,
-    verify_pieces,
 )
+from engine.lab.sim.edits.edit_map import Change, map_edits
+from engine.lab.sim.edits.pieces import register_pieces, verify_pieces
+from engine.lab.sim.edits.selection import select_sphere
 from engine.model import Bool, GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.watermark.claim import Verdict

@@ -1,4 +1,4 @@
-"""Deleting fills the hole from its neighbours: covered, in the right colours, and only where a surface was."""
+"""Deleting fills the hole from its neighbors: covered, in the right colors, and only where a surface was."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.lab.sim.edits import EditTrack, InpaintConfig, delete, inpaint, project_selection, select_sphere
-from engine.lab.sim.edits.exemplar import complete_cells, enclosed, harmonic_fill, smooth
-from engine.lab.sim.edits.hole_surface import fit_surface, ring_around
+from engine.lab.sim.edits.edit import EditTrack, delete
+from engine.lab.sim.edits.inpainting import (
+    InpaintConfig,
+    complete_cells,
+    enclosed,
+    fit_surface,
+    harmonic_fill,
+    inpaint,
+    ring_around,
+    smooth,
+)
+from engine.lab.sim.edits.selection import select_sphere
 from engine.model import Bool, Float32, Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import prepare_view, render
+from tests.lab.sim.edits.conftest import project_selection
 
 CAMERA = look_at([0.2, 0.3, 3], [0, 0, 0], [0, 1, 0], 260.0, 160, 160)
 

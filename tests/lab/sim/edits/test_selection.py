@@ -7,17 +7,10 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.evaluate.marked_scene import MarkedScene
-from engine.lab.sim.edits import (
-    lift_masks,
-    mask_shares,
-    project_selection,
-    segment,
-    segment_at,
-    select_box,
-    select_sphere,
-)
+from engine.lab.sim.edits.selection import lift_masks, mask_shares, segment, segment_at, select_box, select_sphere
 from engine.lab.sim.model_placement import join
 from engine.model import GaussianModel, look_at
+from tests.lab.sim.edits.conftest import project_selection
 
 
 def test_a_box_holds_what_is_inside(sheet: GaussianModel) -> None:
@@ -115,7 +108,7 @@ def test_a_higher_threshold_keeps_off_the_edge(sheet: GaussianModel) -> None:
     assert ((share > 0.05) & (share < 0.95) & (weight > 0)).any()
 
 
-def test_hidden_gaussians_follow_their_neighbours(sheet: GaussianModel) -> None:
+def test_hidden_gaussians_follow_their_neighbors(sheet: GaussianModel) -> None:
     behind = sheet.with_(means=sheet.means - np.array([0, 0, 0.02]))
     camera = look_at([0, 0, 4], [0, 0, 0], [0, 1, 0], 300.0, 160, 160)
     opaque = sheet.with_(opacity_logits=np.full(len(sheet), 9.0))

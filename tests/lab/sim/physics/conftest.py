@@ -1,4 +1,4 @@
-"""A small solid ball of Gaussians with directional colour, and the real plant."""
+"""A small solid ball of Gaussians with directional color, and the real plant."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from engine.formats import read_model
-from engine.model import GaussianModel
+from engine.lab.sim.physics.body import assemble
+from engine.lab.sim.physics.world import World
+from engine.model import Float64, GaussianModel
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 
 
 @pytest.fixture(scope="session")
@@ -36,3 +38,15 @@ def ball() -> GaussianModel:
 @pytest.fixture(scope="session")
 def plant() -> GaussianModel:
     return read_model(DATA / "plant.splat").model
+
+
+def momentum(world: World) -> Float64:
+    """(3,) linear momentum of all bodies, kg scene units per second."""
+    parts = assemble(world.bodies)
+    return np.asarray(parts.masses @ parts.velocities)
+
+
+def angular_momentum(world: World) -> Float64:
+    """(3,) angular momentum of all bodies about the origin."""
+    parts = assemble(world.bodies)
+    return np.asarray(parts.masses @ np.cross(parts.positions, parts.velocities))

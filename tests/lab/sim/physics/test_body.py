@@ -11,6 +11,7 @@ from engine.errors import InputError
 from engine.lab.sim.physics.body import (
     Body,
     Material,
+    build_lattice,
     color_by_strain,
     deformation_gradients,
     kernel_means,
@@ -21,7 +22,6 @@ from engine.lab.sim.physics.body import (
     strain_norms,
 )
 from engine.lab.sim.physics.deforming import interpolate
-from engine.lab.sim.physics.lattice import build_lattice
 from engine.model import SH_C0, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
@@ -138,7 +138,7 @@ def test_a_rigidly_moved_body_renders_as_the_moved_model(body: Body, ball: Gauss
     assert strain_norms(after).max() < 1e-9
 
 
-def test_gaussians_carry_velocity_and_strain_colours(body: Body) -> None:
+def test_gaussians_carry_velocity_and_strain_colors(body: Body) -> None:
     spin = np.array([[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     turning = replace(body, velocities=body.positions @ spin.T)
     np.testing.assert_allclose(kernel_velocities(turning), body.model.means @ spin.T, atol=1e-6)

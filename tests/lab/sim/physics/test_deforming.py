@@ -43,7 +43,7 @@ def test_covariances_match_the_twin(ball: GaussianModel) -> None:
     assert np.abs(moved.log_scales - ball.log_scales).max() > 0.5
 
 
-def test_colours_match_the_twin(ball: GaussianModel) -> None:
+def test_colors_match_the_twin(ball: GaussianModel) -> None:
     F = gradients(30, seed=2)
     element = np.arange(len(ball)) % 30
     moved = deform_model(ball, ball.means, F, element)
@@ -130,7 +130,7 @@ def test_rigid_motion_renders_as_transform_model_does(ball: GaussianModel) -> No
     camera = look_at(center + np.array([0.4, -1.1, 1.6]), center, (0, -1, 0), 110.0, 96, 96)
     picture = render(expected, camera)
     assert psnr(picture, render(moved, camera)) > 80
-    assert psnr(picture, render(moved.with_(sh=ball.sh), camera)) < 40  # would notice colours left unturned
+    assert psnr(picture, render(moved.with_(sh=ball.sh), camera)) < 40  # would notice colors left unturned
     assert psnr(picture, render(moved.with_(quats=ball.quats), camera)) < 40
 
 

@@ -7,10 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from engine.lab.sim.physics import constraint_kernels as fast
-from engine.lab.sim.physics import contact_kernels as contacts
-from engine.lab.sim.physics.assembly import Assembly, assemble
-from engine.lab.sim.physics.body import Material, make_body
+from engine.lab.sim.physics import xpbd_kernels as contacts
+from engine.lab.sim.physics import xpbd_kernels as fast
+from engine.lab.sim.physics.body import Assembly, Material, assemble, make_body
 from engine.model import GaussianModel
 from tests.reference import physics as slow
 
@@ -175,7 +174,7 @@ def test_planes_and_spheres_stop_what_comes_and_carry_what_lies(compiled: bool) 
     x, x_prev = np.array([[0.0, -0.1, 0.0]]), np.array([[0.0, 0.0, 0.0]])
     plane(x, x_prev, np.ones(1), origin, up, np.array([0.02, 0.0, 0.0]), 1.0)
     np.testing.assert_allclose(x, [[0.02, 0.0, 0.0]], atol=1e-15)
-    # A ball that has moved by 0.1 towards a point pushes it out along the line from its centre.
+    # A ball that has moved by 0.1 towards a point pushes it out along the line from its center.
     x = np.array([[0.0, 0.0, 0.45], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     x_prev = x + np.array([[0.0, 0.0, 0.05], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     sphere(x, x_prev, np.ones(3), origin, 0.5, np.zeros(3), 0.0)

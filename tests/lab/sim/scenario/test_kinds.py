@@ -9,9 +9,10 @@ import pytest
 
 from engine.flows.verify.verification import verify_model
 from engine.formats import read_model
-from engine.lab.sim.scenario import bringing, read_scenario
-from engine.lab.sim.scenario.marking import load_world
-from engine.lab.sim.scenario.world import World
+from engine.lab.sim.scenario import read_scenario
+from engine.lab.sim.scenario import sources as bringing
+from engine.lab.sim.scenario.sources import load_world
+from engine.lab.sim.scenario.state import World
 from engine.model import SH_C0
 from tests.formats.point_files import ply
 from tests.lab.sim.scenario.test_steps import play, step

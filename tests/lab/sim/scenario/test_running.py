@@ -12,7 +12,7 @@ from engine.errors import InputError
 from engine.lab.sim.scenario import Run, StepResult, read_scenario, run_scenario
 from tests.scenes import sparse_plant
 
-TRAIN = Path(__file__).parents[2] / "data" / "train_1000.ply"
+TRAIN = Path(__file__).parents[3] / "data" / "train_1000.ply"
 
 STEPS = f"""
 seed = 5
@@ -61,13 +61,13 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, list[StepResu
     path.write_text(STEPS)
     path.with_name("plant.splat").write_bytes(sparse_plant())
     told: list[StepResult] = []
-    return run_scenario(read_scenario(path), tell=told.append), told
+    return run_scenario(read_scenario(path), on_result=told.append), told
 
 
 def test_every_step_was_read(played: tuple[Run, list[StepResult]]) -> None:
     run, told = played
     assert [result.label for result in run.results] == [result.label for result in told]
-    verdicts = [row["verdict"] for result in run.results for row in result.rows]
+    verdicts = [found.verdict for result in run.results for found in result.findings]
     assert verdicts[:4] == ["marked"] * 4
     assert verdicts[-1] != "marked"  # what was taken out is not found
     assert len(verdicts) == 7

@@ -13,12 +13,12 @@ from engine.flows.verify.verification import verify_model
 from engine.flows.views.camera_rig import UP, measure_extent
 from engine.lab.sim.edits.objects import model_box
 from engine.lab.sim.scenario import KINDS, read_scenario
-from engine.lab.sim.scenario.marking import load_world
-from engine.lab.sim.scenario.world import Outcome, World
+from engine.lab.sim.scenario.sources import load_world
+from engine.lab.sim.scenario.state import Outcome, World
 from engine.model import GaussianModel
 from tests.scenes import sparse_plant
 
-TRAIN = Path(__file__).parents[2] / "data" / "train_1000.ply"
+TRAIN = Path(__file__).parents[3] / "data" / "train_1000.ply"
 
 
 @pytest.fixture(scope="module")
@@ -228,7 +228,7 @@ def test_edits_are_known_and_undone(folder: Path, world: World) -> None:
     back = play(folder, edited, step("undo", "edits = 2")).world
     for name in ("means", "sh", "quats"):
         np.testing.assert_array_equal(getattr(back.flat(), name), getattr(world.flat(), name))
-    with pytest.raises(InputError, match="something else"):
+    with pytest.raises(InputError, match="another step"):
         play(folder, edited, step("float16") + step("undo"))
 
 

@@ -9,7 +9,7 @@ import pytest
 from engine.errors import InputError
 from engine.lab.sim.scenario import KINDS, read_scenario
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 OBJECT = f'[[objects]]\nmodel = "{PLANT}"\n'
 
 
@@ -74,7 +74,7 @@ def test_every_kind_says_what_it_takes() -> None:
 
 
 def test_the_examples_read() -> None:
-    found = sorted((Path(__file__).parents[3] / "docs" / "scenarios").glob("*.toml"))
+    found = sorted((Path(__file__).parents[4] / "docs" / "scenarios").glob("*.toml"))
     assert len(found) >= 3
     for path in found:
         if path.stem == "capture":  # its photos do not ship with the repository

@@ -12,13 +12,13 @@ from engine.flows.embed.profiles import EmbedConfig, profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import bench_key
-from engine.lab.sim.variants.swaying import SwayingScene, fit_spacetime, set_in_motion
+from engine.lab.sim.variants.synthetic import SwayingScene, fit_spacetime, set_in_motion
 from engine.model import GaussianModel
 from engine.scenes.clip_marking import embed_moving
 from engine.scenes.spacetime import SpacetimeModel
 from engine.watermark.keys import OwnerKey
 
-SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
+SCENE = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @pytest.fixture(scope="session")

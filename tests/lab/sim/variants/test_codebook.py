@@ -52,13 +52,13 @@ def test_more_codes_come_nearer(compressed: CodebookModel, plant: GaussianModel)
 
 
 def test_each_gaussian_has_its_nearest_code(compressed: CodebookModel, plant: GaussianModel) -> None:
-    """All are assigned to the last but one centres, whose means the codes are: nearly nearest."""
+    """All are assigned to the last but one centers, whose means the codes are: nearly nearest."""
     gap = ((plant.sh[:400, 0, None] - compressed.centers["dc"][None]) ** 2).sum(axis=2)  # (400, M)
     own = gap[np.arange(400), compressed.indices["dc"][:400]]
     assert (own <= gap.min(axis=1) + 1e-12).mean() > 0.9
 
 
-def test_no_codes_but_those_of_colours_are_touched(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
+def test_no_codes_but_those_of_colors_are_touched(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
     model = marked[0]
     assert model.centers["dc"].shape == compressed.centers["dc"].shape
     assert (model.centers["dc"] != compressed.centers["dc"]).any(axis=1).mean() > 0.9
@@ -68,7 +68,7 @@ def test_no_codes_but_those_of_colours_are_touched(compressed: CodebookModel, ma
         np.testing.assert_array_equal(model.indices[name], compressed.indices[name])
 
 
-def test_plain_centres_carry_the_grain_and_quantised_sizes_do_not(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
+def test_plain_centres_carry_the_grain_and_quantized_sizes_do_not(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
     model, result, opened = marked
     assert opened.grain.center > 0.0
     assert opened.grain.scale == 0.0
@@ -95,7 +95,7 @@ def test_it_verifies(compressed: CodebookModel, marked, attack: str | None, stre
     assert verify_model(compressed.decode(), opened).claim.verdict is Verdict.NOT_MARKED
 
 
-def test_an_unquantised_colour_is_no_codebook(plant: GaussianModel, key: OwnerKey) -> None:
+def test_an_unquantized_color_is_no_codebook(plant: GaussianModel, key: OwnerKey) -> None:
     plain = make_codebook(plant.take(np.arange(200)), {"scale": 16})
     with pytest.raises(InputError, match="plain model"):
         embed_codebook(plain, key, original_sha256="0" * 64)
@@ -117,5 +117,5 @@ def test_parts_that_do_not_fit(compressed: CodebookModel, plant: GaussianModel) 
         CodebookModel(**{**parts, "plain": {"opacity": compressed.plain["opacity"]}})
     with pytest.raises(InputError, match="cannot have shape"):
         compressed.with_codes("dc", compressed.centers["dc"][:5])
-    with pytest.raises(InputError, match="'colour'"):
-        make_codebook(plant, {"colour": 5})
+    with pytest.raises(InputError, match="'color'"):
+        make_codebook(plant, {"color": 5})

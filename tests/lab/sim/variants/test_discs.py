@@ -12,15 +12,15 @@ from engine.flows.embed.profiles import profile
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import bench_key
-from engine.lab.sim.variants import measuring
-from engine.lab.sim.variants.discs import fit_colors, widen
-from engine.lab.sim.variants.measuring import measure_discs
+from engine.lab.sim.variants import variant_table as measuring
+from engine.lab.sim.variants.synthetic import fit_colors, widen
+from engine.lab.sim.variants.variant_table import measure_discs
 from engine.model import GaussianModel, look_at
 from engine.numerics.flattening import flatten
 from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
 
-SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
+SCENE = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.flows.records.opened_record import open_record
 from engine.formats import write_model
-from engine.lab.sim.variants.swaying import SwayingScene
+from engine.lab.sim.variants.synthetic import SwayingScene
 from engine.model import GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.scenes.clip_marking import embed_moving, verify_moment
@@ -77,7 +77,7 @@ def test_frames_that_do_not_belong_together_are_refused(sequence: FrameSequence,
     a, b, _ = sequence.frames
     with pytest.raises(InputError, match="same ones"):
         FrameSequence([a, b.take(np.arange(5))], [0, 1])
-    with pytest.raises(InputError, match="colours of frame 1"):
+    with pytest.raises(InputError, match="of frame 1 differ"):
         FrameSequence([a, b.with_(sh=b.sh + 0.1)], [0, 1])
     with pytest.raises(InputError, match="ascending"):
         FrameSequence([a, b], [1, 0])

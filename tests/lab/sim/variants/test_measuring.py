@@ -5,7 +5,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
-from engine.lab.sim.variants.table4 import (
+from engine.lab.sim.variants.variant_table import (
     DISC_MODEL_CASES,
     DISC_PICTURE_CASES,
     MODEL_CASES,

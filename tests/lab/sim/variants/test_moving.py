@@ -31,7 +31,7 @@ from engine.watermark.keys import OwnerKey
 Marked = tuple[SpacetimeModel, Embedding, OpenedRecord]
 
 
-def test_the_mark_changes_colours_centres_and_sizes(clip: SpacetimeModel, marked_clip: Marked) -> None:
+def test_the_mark_changes_colors_centres_and_sizes(clip: SpacetimeModel, marked_clip: Marked) -> None:
     marked = marked_clip[0]
     for name in clip.__dataclass_fields__:
         same = np.array_equal(getattr(clip, name), getattr(marked, name))

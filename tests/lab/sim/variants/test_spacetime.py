@@ -38,7 +38,7 @@ def test_a_moment_is_what_the_paper_says(few: SpacetimeModel, time: float) -> No
 
 
 def test_opacity_survives_fading_to_nothing_and_back(few: SpacetimeModel) -> None:
-    """At its temporal centre a Gaussian has its own logit; far away the logit is the logarithm of what is left."""
+    """At its temporal center a Gaussian has its own logit; far away the logit is the logarithm of what is left."""
     one = SpacetimeModel(
         few.means[:1],
         few.log_scales[:1],

@@ -5,7 +5,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.sim.variants.swaying import SwayingScene, set_in_motion
+from engine.lab.sim.variants.synthetic import SwayingScene, set_in_motion
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.lab.sim.variants.table4 import measure_variant
+from engine.lab.sim.variants.variant_table import measure_variant
 from engine.numerics.image_metrics import ms_ssim_distance, psnr
 from engine.watermark.claim import Verdict
 

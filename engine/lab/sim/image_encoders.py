@@ -1,6 +1,6 @@
 """Attacks by software on the way: sizes there and back, WebP, AVIF, and video in which the picture is one frame.
 
-A frame of a film is not coded by itself: most of it is predicted from its neighbours. So the picture is put in the
+A frame of a film is not coded by itself: most of it is predicted from its neighbors. So the picture is put in the
 middle of a short film, a hand-held pan over the picture itself, and comes back as that frame. Image attacks as in
 `engine.lab.sim.image_attacks`. Of ffmpeg only the command is used, through pipes; what it writes depends on its
 version, so bytes are the same for the same installation (one thread, no time stamps).
@@ -22,15 +22,14 @@ from engine.model import Float32
 
 __all__ = ["ATTACKS", "bytes_of", "still", "values_of"]
 
+
 ATTACKS: Attacks[Float32] = Attacks("image")
 
 Uint8 = npt.NDArray[np.uint8]
 
 MOST_PIXELS = 1 << 28
-NEIGHBORS = 6
-"""Frames before and after the picture in a film made of it."""
-PAN = (1.7, 0.6)
-"""How far the pan goes from frame to frame, pixels right and down."""
+NEIGHBORS = 6  # frames before and after the picture in a film made of it
+PAN = (1.7, 0.6)  # how far the pan goes from frame to frame, pixels right and down
 FPS = 25.0
 
 _SMALLER = (0.9, 0.75, 0.5, 0.35, 0.25)

@@ -1,24 +1,21 @@
-"""Where photos and scans were taken, from nothing but themselves: by programs of the extra ``capture``.
+"""Poses of photos and scans, estimated from nothing but themselves by packages of the extra ``capture``.
 
 Structure from motion (pycolmap) makes a COLMAP model of photos, LiDAR odometry (kiss-icp) a path of scans.
 """
 
-import importlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from engine.errors import InputError
+from engine.extras import load_extra
 from engine.flows.progress import Clock, Progress
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture.placing import Scan
+from engine.lab.sim.capture.scans import Scan
 from engine.model import Bool, Float64
-
-__all__ = ["Structure", "odometry", "reconstruct"]
 
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 _FEWEST = 3
@@ -36,12 +33,13 @@ Its voxels are then a metre, a hundredth of the range, as it says itself."""
 class Structure:
     """What structure from motion made of a folder of photos.
 
-    The folder holds a COLMAP model (binary) of the largest part that hangs together; `train_from_colmap` takes it. The
-    report: photos, photos placed, points, mean reprojection error (pixels), mean track length, parts, seconds.
+    The folder holds a COLMAP model (binary) of the largest connected part; `train_from_colmap` takes it.
     """
 
     folder: Path
-    report: dict[str, Any]
+    photos: int
+    photos_placed: int
+    reprojection_error: float  # mean, pixels
 
 
 def reconstruct(
@@ -70,7 +68,7 @@ def reconstruct(
     names = sorted(p.name for p in root.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
     if len(names) < _FEWEST:
         raise InputError(f"{root}: holds {len(names)} photos ({', '.join(PICTURES)}), at least {_FEWEST} needed")
-    pycolmap = _load_extra("pycolmap", "pycolmap", "structure from motion")
+    pycolmap = load_extra("pycolmap", "capture", "structure from motion")
     clock = Clock(progress)
     database, sparse = work / "database.db", work / "sparse"
     try:
@@ -107,16 +105,7 @@ def reconstruct(
     folder = sparse / "0"
     folder.mkdir(exist_ok=True)
     best.write(folder)
-    report = {
-        "photos": len(names),
-        "photos_placed": int(best.num_reg_images()),
-        "points": int(best.num_points3D()),
-        "reprojection_error": float(best.compute_mean_reprojection_error()),
-        "track_length": float(best.compute_mean_track_length()),
-        "parts": len(parts),
-        "seconds_by_stage": clock.seconds,
-    }
-    return Structure(folder, report)
+    return Structure(folder, len(names), int(best.num_reg_images()), float(best.compute_mean_reprojection_error()))
 
 
 def odometry(
@@ -132,12 +121,12 @@ def odometry(
 
     if len(scans) < 2:
         raise InputError(f"odometry needs at least two scans, got {len(scans)}")
-    kiss = _load_extra("kiss_icp.kiss_icp", "kiss-icp", "LiDAR odometry")
+    kiss = load_extra("kiss_icp.kiss_icp", "capture", "LiDAR odometry")
     reach = farthest or float(np.linalg.norm(scans[0].cloud.points, axis=1).max(initial=0.0))
     if not (np.isfinite(reach) and reach > 0.0):
         raise InputError(f"farthest is {reach}, expected a positive range")
     scale = USUAL_RANGE / reach
-    config = _load_extra("kiss_icp.config", "kiss-icp", "LiDAR odometry").KISSConfig()
+    config = load_extra("kiss_icp.config", "capture", "LiDAR odometry").KISSConfig()
     config.data.max_range, config.data.min_range = USUAL_RANGE, 0.0
     config.data.deskew = all(scan.cloud.times is not None for scan in scans)
     config.mapping.voxel_size = 0.01 * USUAL_RANGE
@@ -165,14 +154,3 @@ def _turn(scan: Scan, inside: Bool) -> Float64:
         return np.empty(0)
     chosen = times[inside]
     return np.asarray((chosen - chosen.min()) / max(float(np.ptp(chosen)), 1e-9))
-
-
-def _load_extra(module: str, package: str, purpose: str) -> Any:
-    """Import a module of an optional distribution; InputError, naming the purpose, where that cannot be done."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        missing = isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]
-        why = "is not installed" if missing else f"cannot be loaded ({error})"
-        message = f"{purpose} needs {package}, which {why}: pip install 'mark3dgs[capture]'"
-        raise InputError(message) from None

@@ -1,7 +1,7 @@
 """Training Gaussians on photos with the CPU rasterizer (Kerbl et al. 2023): Adam on L1 and D-SSIM, densification.
 
 A step: 1. a photo in random order, 2. render, 3. loss and its gradient, 4. gradients of all parameters, 5. Adam,
-6. now and then: densify and prune, bring opacities down, one more SH degree.
+6. now and then: densify and prune (their section 5.2), bring opacities down, one more SH degree.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,15 +9,176 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.lab.sim.capture.densification import RESET_OPACITY, CenterGradients, DensifyConfig, densify
-from engine.lab.sim.capture.parameters import Parameters
 from engine.lab.sim.capture.photo_loss import photo_loss
-from engine.model import Camera, Float32, GaussianModel
+from engine.lab.sim.model_placement import join
+from engine.model import Camera, Float32, GaussianModel, Int32
+from engine.numerics.adam import AdamMoments, adam_step
+from engine.numerics.similarity import quaternion_to_rotation
 from engine.raster import Gradients, View, backward, draw, prepare_view, sh_colors, sh_colors_backward
 
-__all__ = ["TrainConfig", "Trainer", "cameras_extent", "train"]
+SH_REST = 20.0  # higher SH bands move so much slower than DC (INRIA)
+
+NAMES = ("means", "log_scales", "quats", "opacity_logits", "sh")
+
+
+class Parameters:
+    """All parameters of a model under training; copies, so that the model given stays as it is."""
+
+    def __init__(self, model: GaussianModel) -> None:
+        self.arrays: dict[str, Float32] = {name: getattr(model, name).copy() for name in NAMES}
+        self.moments = {name: AdamMoments.zeros(array) for name, array in self.arrays.items()}
+
+    def __len__(self) -> int:
+        return len(self.arrays["means"])
+
+    @property
+    def model(self) -> GaussianModel:
+        """The parameters as they are now: a view, which the next step changes."""
+        a = self.arrays
+        return GaussianModel(a["means"], a["log_scales"], a["quats"], a["opacity_logits"], a["sh"])
+
+    def finished(self) -> GaussianModel:
+        """A model of its own, with unit quaternions."""
+        model = self.model.take(np.arange(len(self)))
+        lengths = np.linalg.norm(model.quats, axis=1, keepdims=True)
+        return model.with_(quats=model.quats / np.maximum(lengths, np.finfo(np.float32).tiny))
+
+    def step(self, gradients: Gradients, rates: dict[str, float], number: int) -> None:
+        """One Adam step of every parameter that has a rate; see `SH_REST`."""
+        for name, rate in rates.items():
+            rest = rate / SH_REST if name == "sh" else None
+            adam_step(self.arrays[name], getattr(gradients, name), self.moments[name], rate, number, rate_rest=rest)
+
+    def regroup(self, kept: npt.NDArray[np.int64], new: GaussianModel) -> None:
+        """The Gaussians at `kept` with their moments, then the new ones, which start without any."""
+        for name in NAMES:
+            fresh: Float32 = getattr(new, name)
+            self.arrays[name] = np.concatenate([self.arrays[name][kept], fresh])
+            old, empty = self.moments[name], np.zeros_like(fresh)
+            self.moments[name] = AdamMoments(*(np.concatenate([m[kept], empty]) for m in (old.first, old.second)))
+
+    def raise_degree(self, coefficients: int) -> None:
+        """More SH coefficients a channel; the new ones are 0 and have no moments."""
+        missing = coefficients - self.arrays["sh"].shape[1]
+
+        def grown(array: Float32) -> Float32:
+            return np.concatenate([array, np.zeros((len(array), missing, 3), np.float32)], axis=1)
+
+        old = self.moments["sh"]
+        self.arrays["sh"] = grown(self.arrays["sh"])
+        self.moments["sh"] = AdamMoments(grown(old.first), grown(old.second))
+
+    def cap_opacity(self, opacity: float) -> None:
+        """No Gaussian more opaque than this, and no moments left of it."""
+        logit = np.float32(np.log(opacity / (1.0 - opacity)))
+        logits = self.arrays["opacity_logits"]
+        np.minimum(logits, logit, out=logits)
+        self.moments["opacity_logits"] = AdamMoments.zeros(logits)
+
+
+_SPLIT_SHRINK = 1.6  # a split Gaussian's two parts are this much smaller (INRIA: 0.8 times the number of parts)
+
+RESET_OPACITY = 0.01
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """Knobs of the density control; at 30,000 steps the defaults are INRIA's."""
+
+    first: float = 500 / 30_000  # when it begins, part of the training: step 500 of 30,000
+    last: float = 0.5  # when it ends: step 15,000
+    every: int = 100  # steps between two rounds
+    # Gaussians whose center is pulled more strongly than this across the image are cloned or split: mean over the views
+    # of the norm of dL/d(center), in half images
+    gradient: float = 2e-4
+    # larger ones are split, smaller ones cloned; largest standard deviation, part of the extent of the cameras
+    split_size: float = 0.01
+    min_opacity: float = 0.005  # fainter ones are removed
+    # larger ones are removed after the first opacity reset, part of the extent. INRIA's bound in pixels is left out, as
+    # gsplat leaves it out: it depends on the size of the photos
+    max_size: float = 0.1
+    reset: float = 0.1  # opacities are brought down to 0.01 so often, part of the training: every 3,000 steps of 30,000
+    most: int = 1_000_000  # no more Gaussians than this: those pulled most come first
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.first <= self.last <= 1.0:
+            raise InputError(f"need 0 <= first <= last <= 1, got {self.first} and {self.last}")
+        if self.every < 1 or self.most < 1:
+            raise InputError(f"every and most must be at least 1, got {self.every} and {self.most}")
+        if not 0.0 < self.reset <= 1.0:
+            raise InputError(f"reset is {self.reset}, expected a part of the training in (0, 1]")
+        sizes = (self.gradient, self.split_size, self.max_size)
+        if min(sizes) <= 0.0 or not 0.0 <= self.min_opacity < RESET_OPACITY:
+            raise InputError(
+                f"gradient, split_size and max_size must be positive and min_opacity below {RESET_OPACITY}, got "
+                f"{', '.join(f'{v:g}' for v in sizes)} and {self.min_opacity:g}"
+            )
+
+
+class CenterGradients:
+    """Mean pull on every center across the image, over the views that saw the Gaussian."""
+
+    def __init__(self, count: int) -> None:
+        self.sums = np.zeros(count, dtype=np.float64)
+        self.views = np.zeros(count, dtype=np.int32)
+
+    def add(self, centers: Float32, visible: Int32, width: int, height: int) -> None:
+        """One view: centers (2, N) is dL/d(projected center) in pixels, `visible` who was seen."""
+        x, y = centers[0, visible] * (0.5 * width), centers[1, visible] * (0.5 * height)
+        self.sums[visible] += np.hypot(x, y)
+        self.views[visible] += 1
+
+    @property
+    def mean(self) -> Float32:
+        """(N,) mean norm, in half images; 0 for those that no view saw."""
+        return (self.sums / np.maximum(self.views, 1)).astype(np.float32)
+
+
+def densify(
+    parameters: Parameters,
+    pull: Float32,
+    extent: float,
+    config: DensifyConfig,
+    rng: np.random.Generator,
+    *,
+    prune_large: bool,
+) -> None:
+    """One round, in place: clone and split where the centers are pulled, remove what is faint or too large.
+
+    `pull` (N,) is `CenterGradients.mean`, `extent` that of the cameras (scene units); `rng` places the parts of split
+    Gaussians, and with `prune_large` those beyond `max_size` go.
+    """
+    model = parameters.model
+    sizes = model.log_scales.max(axis=1)
+    pulled = pull > config.gradient
+    room = max(config.most - len(model), 0)  # each adds one Gaussian: the strongest come first
+    pulled[np.argsort(-pull, kind="stable")[room:]] = False
+    large = sizes > np.log(config.split_size * extent)
+    cloned, split = np.flatnonzero(pulled & ~large), np.flatnonzero(pulled & large)
+    faint = model.opacities < config.min_opacity
+    gone = faint | (sizes > np.log(config.max_size * extent)) if prune_large else faint
+    kept = ~gone
+    kept[split] = False
+    new = join(model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng))
+    if prune_large:
+        new = new.take(new.log_scales.max(axis=1) <= np.log(config.max_size * extent))
+    if kept.any() or len(new):
+        parameters.regroup(np.flatnonzero(kept), new)
+
+
+def _parts(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
+    """Two smaller Gaussians for each, at places drawn from it."""
+    twice = model.take(np.repeat(np.arange(len(model)), 2))
+    steps = rng.standard_normal((len(twice), 3)) * twice.scales  # (2 n, 3), along their own axes
+    lengths = np.maximum(np.linalg.norm(twice.quats, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    turns = quaternion_to_rotation(twice.quats / lengths).reshape(-1, 3, 3)
+    return twice.with_(
+        means=twice.means + np.einsum("nij,nj->ni", turns, steps).astype(np.float32),
+        log_scales=twice.log_scales - np.float32(np.log(_SPLIT_SHRINK)),
+    )
 
 
 MARGIN = 1.1  # extent of the cameras over the largest distance from their middle (INRIA)
@@ -30,7 +191,7 @@ class TrainConfig:
     steps: int = 30_000  # one photo each
     # every parameter, or SH alone with the geometry frozen (then nothing is densified)
     trained: Literal["all", "colors"] = "all"
-    position_rate: float = 1.6e-4  # of the centres at the first step, part of the extent of the cameras
+    position_rate: float = 1.6e-4  # of the centers at the first step, part of the extent of the cameras
     position_rate_end: float = 1.6e-6  # at the last step; exponential between
     scale_rate: float = 0.005  # of log-scales
     rotation_rate: float = 0.001  # of quaternions
@@ -40,7 +201,7 @@ class TrainConfig:
     # degree reached in the end, 0 to 3; one more every `sh_every`. None: the model's own, from the start
     sh_degree: int | None = 3
     sh_every: float = 1_000 / 30_000  # part of the training after which the next SH degree joins: 1,000 steps of 30,000
-    # colour behind the Gaussians; "random" draws one for each step, so that nothing may hide in it
+    # color behind the Gaussians; "random" draws one for each step, so that nothing may hide in it
     background: float | tuple[float, float, float] | Literal["random"] = 0.0
     densify: DensifyConfig | None = field(default_factory=DensifyConfig)  # None: the number of Gaussians stays
     seed: int = 0  # of the photos' order, random backgrounds and places of split Gaussians
@@ -57,7 +218,7 @@ class TrainConfig:
         if not all(np.isfinite(rate) and rate > 0.0 for rate in rates):
             raise InputError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)}")
         if isinstance(self.background, str) and self.background != "random":
-            raise InputError(f"background must be a colour or 'random', got {self.background!r}")
+            raise InputError(f"background must be a color or 'random', got {self.background!r}")
 
 
 def cameras_extent(cameras: Sequence[Camera]) -> float:

@@ -1,16 +1,21 @@
-"""Photos to what a pinhole would have seen: lens distortion undone, brought to the size of training."""
+"""From photos and their COLMAP reconstruction to a trained Gaussian model; lens distortion is undone first."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import CameraError, InputError
+from engine.flows.progress import Clock, Progress
 from engine.formats.cameras.colmap import PosedPhoto
-from engine.model import Camera, Float32, Float64
-
-__all__ = ["read_photo", "undistort"]
+from engine.lab.points.reconstruction import Reconstruction, read_reconstruction
+from engine.lab.sim.capture.capture_kernels import kernels_from_points
+from engine.lab.sim.capture.trainer import TrainConfig, Trainer
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.image_metrics import psnr
+from engine.raster import render
 
 _MAX_ZOOM = 4.0
 _ZOOM_TOLERANCE = 1e-4
@@ -74,7 +79,7 @@ def undistort(pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None
 
 
 def _opencv(K: Float64) -> Float64:
-    """Intrinsics in OpenCV's pixels, whose centres lie at whole numbers."""
+    """Intrinsics in OpenCV's pixels, whose centers lie at whole numbers."""
     moved = K.copy()
     moved[:2, 2] -= 0.5
     return moved
@@ -112,3 +117,97 @@ def _inside(camera: Camera, photo: PosedPhoto, zoom: float) -> bool:
     outward = np.linspace(0.0, 1.0, _RADII)[:, None] * r2
     rising = 1.0 + 3.0 * k1 * outward + 5.0 * k2 * outward * outward > 0.0
     return bool(((u >= 0) & (u <= w) & (v >= 0) & (v <= h)).all() and rising.all())
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSet:
+    """Undistorted photos (H, W, 3), and the numbers of those held out."""
+
+    names: list[str]
+    cameras: list[Camera]
+    images: list[Float32]
+    held_out: list[int]
+
+    @property
+    def trained_on(self) -> list[int]:
+        """The others."""
+        return [k for k in range(len(self.names)) if k not in self.held_out]
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A model trained on photos."""
+
+    model: GaussianModel
+    photos: PhotoSet
+    psnr: list[float]  # dB, of the renders against each photo; a random background counts as black
+    steps_per_second: float
+
+    @property
+    def psnr_trained(self) -> float:
+        """Mean over the photos trained on, dB."""
+        return float(np.mean([self.psnr[k] for k in self.photos.trained_on]))
+
+    @property
+    def psnr_held_out(self) -> float | None:
+        """Mean over the photos held out, dB; None where there are none."""
+        return float(np.mean([self.psnr[k] for k in self.photos.held_out])) if self.photos.held_out else None
+
+
+def load_photos(
+    reconstruction: Reconstruction,
+    images: str | os.PathLike[str],
+    *,
+    size: int = 800,
+    hold_out: int = 8,
+    clock: Clock | None = None,
+) -> PhotoSet:
+    """Read the photos of a reconstruction from a folder and undistort them, at most `size` pixels on the longest side.
+
+    By the order of the names, the middle one of every `hold_out` photos is held out, so that it has trained neighbors
+    on both sides; 0 holds none out.
+    """
+    photos = reconstruction.photos
+    if hold_out < 0 or hold_out == 1:
+        raise InputError(f"hold_out is {hold_out}, expected 0 (none) or at least 2")
+    held = [k for k in range(len(photos)) if hold_out and k % hold_out == hold_out // 2]
+    if len(photos) - len(held) < 2:
+        raise InputError(f"{len(photos)} photos, {len(held)} of them held out, are too few to train on")
+    cameras, pictures = [], []
+    for k, photo in enumerate(photos):
+        camera, picture = undistort(read_photo(images, photo), photo, size)
+        cameras.append(camera)
+        pictures.append(picture)
+        if clock is not None:
+            clock.advance((k + 1) / len(photos))
+    return PhotoSet([photo.name for photo in photos], cameras, pictures, held)
+
+
+def train_from_colmap(
+    folder: str | os.PathLike[str],
+    images: str | os.PathLike[str],
+    *,
+    size: int = 800,
+    hold_out: int = 8,
+    config: TrainConfig | None = None,
+    progress: Progress | None = None,
+) -> Capture:
+    """Train a model on the photos of a COLMAP model in a folder, see `read_reconstruction` and `load_photos`.
+
+    Progress has the stages "photos", "train" and "compare".
+    """
+    config = config or TrainConfig()
+    clock = Clock(progress)
+    reconstruction = read_reconstruction(folder)
+    with clock.stage("photos"):
+        photos = load_photos(reconstruction, images, size=size, hold_out=hold_out, clock=clock)
+    start = kernels_from_points(reconstruction.points.positions, reconstruction.points.colors)
+    used = photos.trained_on
+    trainer = Trainer(start, [photos.cameras[k] for k in used], [photos.images[k] for k in used], config)
+    with clock.stage("train"):
+        model = trainer.run(clock.advance)
+    with clock.stage("compare"):
+        behind = 0.0 if isinstance(config.background, str) else config.background
+        pairs = zip(photos.cameras, photos.images, strict=True)
+        quality = [psnr(render(model, camera, behind), image) for camera, image in pairs]
+    return Capture(model, photos, quality, config.steps / clock.seconds["train"])

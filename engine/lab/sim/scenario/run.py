@@ -15,15 +15,11 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.progress import Progress
 from engine.flows.verify.verification import verify_images, verify_model
-from engine.lab.sim.cost import Cost
-from engine.lab.sim.scenario.marking import load_world
+from engine.lab.sim.scenario.film import Show
 from engine.lab.sim.scenario.script import Scenario
-from engine.lab.sim.scenario.showing import Show
-from engine.lab.sim.scenario.world import Outcome
+from engine.lab.sim.scenario.sources import load_world
+from engine.lab.sim.scenario.state import Finding, Outcome
 from engine.model import GaussianModel
-from engine.watermark.claim import Claim
-
-__all__ = ["Run", "StepResult", "run_scenario"]
 
 DELIVERED = "as delivered"
 
@@ -33,8 +29,7 @@ class StepResult:
     """One step and what was found after it."""
 
     label: str
-    # one for each record: object, verdict, matching bits, z, bound, share found, seconds
-    rows: tuple[dict[str, Any], ...]
+    findings: tuple[Finding, ...]  # one for each record
     picture: Any  # (H, W, 3) uint8, what a person would see, with the findings written on it
     seconds: float  # of the step itself
     notes: tuple[str, ...]
@@ -51,9 +46,9 @@ class Run:
 
 
 def run_scenario(
-    scenario: Scenario, progress: Progress | None = None, tell: Callable[[StepResult], None] | None = None
+    scenario: Scenario, progress: Progress | None = None, on_result: Callable[[StepResult], None] | None = None
 ) -> Run:
-    """Play a scenario; `tell` is given every result as soon as it is there.
+    """Play a scenario; `on_result` is called with every result as soon as it is there.
 
     InputError, naming the step, if one does not fit the world it meets.
     """
@@ -63,12 +58,12 @@ def run_scenario(
     results: list[StepResult] = []
 
     def finish(label: str, outcome: Outcome, seconds: float) -> None:
-        rows = tuple(_look_for_all(outcome, label, report))  # 3
-        picture = show.add(label, outcome, rows)  # 4
-        result = StepResult(label, rows, picture, seconds, outcome.notes)
+        findings = tuple(_look_for_all(outcome, label, report))  # 3
+        picture = show.add(label, outcome, findings)  # 4
+        result = StepResult(label, findings, picture, seconds, outcome.notes)
         results.append(result)
-        if tell:
-            tell(result)
+        if on_result:
+            on_result(result)
 
     finish(DELIVERED, Outcome(world, notes=made), 0.0)
     for number, named in enumerate(scenario.steps):  # 2
@@ -84,9 +79,9 @@ def run_scenario(
     return Run(scenario, tuple(results), tuple(show.frames), world.flat())
 
 
-def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[dict[str, Any]]:
-    """A row for each record of the world."""
-    rows = []
+def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[Finding]:
+    """A finding for each record of the world."""
+    findings = []
     flat = outcome.world.flat()
     for name, opened in outcome.world.records.items():
         progress(f"{label}: looking for {name}", 0.0)
@@ -97,23 +92,5 @@ def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[dict
             claim = verify_images(list(outcome.pictures), opened, cameras=outcome.cameras).claim
         else:
             claim = verify_model(flat, opened).claim
-        rows.append(row(name, claim, outcome.cost, time.perf_counter() - began))
-    return rows
-
-
-def row(name: str, claim: Claim, cost: Cost | None, seconds: float) -> dict[str, Any]:
-    """One line of the table."""
-    return {
-        "object": name,
-        "verdict": claim.verdict.value,
-        "matching_bits": claim.matching_bits,
-        "bits": claim.bits,
-        "z": claim.z,
-        "log10_false_claim": claim.log10_false_claim,
-        "derived_fraction": claim.derived_fraction,
-        "route": claim.route,
-        "psnr_cost": cost.psnr if cost else None,
-        "coverage": cost.coverage if cost else None,
-        "covered_psnr": cost.covered_psnr if cost else None,
-        "seconds": seconds,
-    }
+        findings.append(Finding.of(name, claim, outcome.cost, time.perf_counter() - began))
+    return findings

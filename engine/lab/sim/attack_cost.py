@@ -1,4 +1,4 @@
-"""What an attack costs the attacker: how far his loot looks from what he stole.
+"""What an attack costs: how far the attacked model or picture looks from the marked one.
 
 A mark that is gone with the look is not removed but ruined. So every attack is judged by its renders against those of
 the marked model, at neutral views: neither the owner's key views nor any an attack was tuned on. A model that the
@@ -13,14 +13,11 @@ from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.model import Bool, Camera, Float32, GaussianModel
 
-__all__ = ["CHEAP_DB", "Cost", "image_cost", "model_cost"]
-
 CHEAP_DB = 27.0
 """An attack is cheap from this PSNR on: an error of 27 dB against the marked model takes 3 dB off a model that stands
 at 27 dB against photographs, as good captures do; the two errors have the same size."""
 
-COVERED = 0.9
-"""Share of the marked model's opacity in a pixel that the attacked one must reach to cover it."""
+COVERED = 0.9  # share of the marked model's opacity in a pixel that the attacked one must reach to cover it
 
 
 @dataclass(frozen=True)

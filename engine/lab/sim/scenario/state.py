@@ -12,24 +12,19 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.views.camera_rig import FIELD_OF_VIEW, UP, Extent, direction
-from engine.lab.sim.cost import Cost
-from engine.lab.sim.edits.tracking import EditTrack
+from engine.lab.sim.attack_cost import Cost
+from engine.lab.sim.edits.edit import EditTrack
 from engine.lab.sim.model_placement import join
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.scenes.clip_marking import Moving
 from engine.watermark.claim import Claim
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["Advance", "Clip", "Outcome", "Step", "StepKind", "Tracked", "World", "step", "viewpoint"]
-
 Advance = Callable[[float], None]
-"""Told the fraction of a step that is done."""
+"""Called with the fraction of a step that is done."""
 
-EVERYTHING = "everything"
-"""Name of the one object that is left when a step treats the whole file as one."""
-
-MARGIN = 1.3
-"""Distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too."""
+EVERYTHING = "everything"  # name of the one object that is left when a step treats the whole file as one
+MARGIN = 1.3  # distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +98,47 @@ class Outcome:
     world: World
     frames: tuple[GaussianModel, ...] = ()  # moments in between, for the film; empty where nothing moves
     pictures: tuple[Float32, ...] = ()  # what turned up instead of the model; verification reads these then
-    cameras: tuple[Camera, ...] | None = None  # of the pictures, where the verifier is told them
+    cameras: tuple[Camera, ...] | None = None  # of the pictures, where the verifier knows them
     shown: GaussianModel | None = None  # drawn instead of the world: a map of it
     claims: Mapping[str, Claim] = field(default_factory=dict)  # of records that the step has read in a way of its own
     notes: tuple[str, ...] = ()
     cost: Cost | None = None  # what the step cost the look, where it is an attack
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of one record after a step: one line of the table."""
+
+    object: str
+    verdict: str
+    matching_bits: int
+    bits: int
+    z: float
+    log10_false_claim: float
+    derived_fraction: float | None
+    route: str
+    psnr_cost: float | None  # dB; this and the next two are None where the step is no attack
+    coverage: float | None
+    covered_psnr: float | None
+    seconds: float  # of the verification
+
+    @classmethod
+    def of(cls, name: str, claim: Claim, cost: Cost | None, seconds: float) -> Finding:
+        """Of an object's claim, and of the step's cost."""
+        return cls(
+            name,
+            claim.verdict.value,
+            claim.matching_bits,
+            claim.bits,
+            claim.z,
+            claim.log10_false_claim,
+            claim.derived_fraction,
+            claim.route,
+            cost.psnr if cost else None,
+            cost.coverage if cost else None,
+            cost.covered_psnr if cost else None,
+            seconds,
+        )
 
 
 class Step(Protocol):
