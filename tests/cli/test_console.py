@@ -42,4 +42,4 @@ def test_long_stages_leave_a_line_where_there_is_no_terminal(
         progress("plan", 1.0)
         progress("write", 0.0)
     lines = capsys.readouterr().err.splitlines()
-    assert [line.split(":")[0].strip() for line in lines] == ["planning the mark", "writing"]
+    assert [line.split(":")[0].strip() for line in lines] == ["planning the watermark", "writing"]
