@@ -7,7 +7,7 @@ from pathlib import Path
 from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
 
-PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
 
 
 def write_piece(folder: Path, share: float = 0.2) -> Path:

@@ -27,7 +27,7 @@ from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.messages import Signs, derive_message
 
-PLANT = str(Path(__file__).parents[1] / "data" / "plant.splat")
+PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
 KEY = bench_key(5)
 MESSAGE = derive_message(KEY, 32, b"test")
 

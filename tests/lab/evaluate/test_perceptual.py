@@ -18,7 +18,7 @@ from engine.lab.evaluate.perceptual.study import STUDY
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
 
-PLANT = str(Path(__file__).parents[1] / "data" / "plant.splat")
+PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
 
 
 def test_flip_of_the_same_picture_is_nothing() -> None:

@@ -19,7 +19,7 @@ from engine.lab.evaluate.steganalysis.study import STUDY
 from engine.lab.evaluate.study import Options
 from engine.raster import render
 
-PLANT = str(Path(__file__).parents[1] / "data" / "plant.splat")
+PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from engine.lab.evaluate.cost.growth import fit_growth
 from engine.lab.evaluate.cost.measuring import _roofline, sized
 from engine.lab.evaluate.cost.peaks import peak_bandwidth, peak_flops
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 def test_a_power_law_is_found_and_its_interval_covers() -> None:

@@ -14,7 +14,7 @@ from engine.lab.evaluate.pareto.study import STUDY
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @pytest.mark.long

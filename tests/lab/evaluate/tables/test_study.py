@@ -16,7 +16,7 @@ from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
 from engine.lab.evaluate.tables.study import PARTS, STUDY
 
-PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
+PLANT = str(Path(__file__).parents[3] / "data" / "plant.splat")
 DRAWN = {"table1", "table2", "table5", "fig6", "fig7", "ablation"}
 
 
