@@ -88,8 +88,8 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
 def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
     """At most SCREENED rows of `assets`, those of one original next to each other.
 
-    Owners take turns, others before the tenant that asks, and so do the originals of each: a copy cannot be hidden behind
-    many of the same owner.
+    Owners take turns, others before the tenant that asks, and so do the originals of each: a copy cannot be hidden
+    behind many of the same owner.
     """
     seen: Counter[Any] = Counter()
 
