@@ -20,7 +20,7 @@ from engine.numerics.moment_matching import merge_groups
 from engine.raster import render
 from tests.reference import merging as twin
 
-SCENE = Path(__file__).parents[3] / "data" / "plant.splat"
+SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
 READINGS = [("merge", "literal"), ("merge", "as_code"), ("lod", "literal")]
 
 
