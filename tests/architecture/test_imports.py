@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.architecture.tree import ROOT, module_name, parse, product_files
 
 SECONDS = 0.5
-"""Longest median time that `import engine` may keep a processor busy (a busy machine is not the package's fault)."""
+"""Longest median time that `import mark3dgs` may keep a processor busy (a busy machine is not the package's fault)."""
 
 RUN_BY_ALEMBIC = {"service.db.migrations.env"}
 """Works on a context that only Alembic makes."""
@@ -57,8 +57,8 @@ def imports_at_load(path: Path, package: str) -> bool:
     return False
 
 
-def test_engine_opens_at_once_and_brings_nothing_heavy() -> None:
-    runs = [json.loads(run(OPENING, "engine")) for _ in range(5)]
+def test_the_package_opens_at_once_and_brings_nothing_heavy() -> None:
+    runs = [json.loads(run(OPENING, "mark3dgs")) for _ in range(5)]
     assert statistics.median(seconds for seconds, _ in runs) <= SECONDS
     assert all(heavy == [] for _, heavy in runs)
 
