@@ -1,7 +1,7 @@
 # make install  -> .venv with everything; make demo -> the main job on a real scene, with core and lab alone;
 # make test -> what must hold before a change lands; make full -> that, and every study, bench and viewer: before a release;
 # make quick -> the checks for daily work, under three minutes on two cores: rules and units, no long flow;
-# make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the long studies;
+# make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the laboratory, without its long studies;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
 # make results -> the README's figure, measured anew on the shipped scene (about half an hour on two cores);
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
@@ -13,7 +13,7 @@ DEMO_STAMP := $(VENV)/.installed-demo
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt
 # One more than there are cores: some tests wait for servers and browsers.
 WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
-UNITS := architecture cli compress credentials formats numerics pictures pipeline raster records registration theory watermark
+UNITS := architecture cli compress credentials flows formats kernels numerics pictures present raster records registration theory watermark
 # Also where the environment forbids it: each worker would rewrite the asserts of all tests anew.
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile
@@ -61,7 +61,7 @@ core-test: $(STAMP)
 	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install
 
 lab-test: $(STAMP) kernels
-	$(PYTEST) -m 'long and not docker' tests/lab
+	$(PYTEST) -m "not docker and not long" tests/lab
 
 mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(MUTANTS)
