@@ -51,7 +51,7 @@ KERNELS = {"kernel", "parallel_kernel", "inlined"}
 """Decorators of compiled functions, which take arrays and numbers."""
 WIDE = {
     "engine/kernels/native_probe.py": ["_probe"],
-    "engine/lab/evaluate/cost/measuring.py": ["measure_size"],
+    "engine/lab/evaluate/cost/cost_cells.py": ["measure_size"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
     "engine/lab/sim/variants/variant_table.py": ["_row"],
     "engine/raster/autograd.py": ["forward", "rasterize"],

@@ -14,7 +14,7 @@ from engine.cli import extra_commands
 from engine.cli.app import run
 from engine.errors import InputError
 from engine.extras import load_extra
-from engine.lab.evaluate.perceptual.measuring import flip_map
+from engine.lab.evaluate.perceptual.perceptual_cells import flip_map
 from tests.architecture.tree import module_name, parse, product_files
 from tests.install.distributions import closure, import_names
 

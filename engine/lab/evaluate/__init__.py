@@ -2,5 +2,5 @@
 
 Start at `study` (cells, bars, sections), then `cell_runner` (resumable, in several processes) and `report`; `suites`
 lists them by name, `measurements` holds those that print rows only. A folder is one study; its
-`study` module says what it asks.
+`NAME_study` module says what it measures.
 """

@@ -16,7 +16,7 @@ STUDIES = {
     "cost": "time and memory from 10 thousand to 10 million Gaussians",
     "perceptual": "what eyes may notice: PSNR, SSIM, MS-SSIM, FLIP, LPIPS",
 }
-"""Summary of each study with bars and figures; `engine.lab.evaluate.NAME.study` holds it as `STUDY`."""
+"""Summary of each study with bars and figures; `engine.lab.evaluate.NAME.NAME_study` holds it as `STUDY`."""
 
 
 def summaries() -> dict[str, str]:
@@ -30,5 +30,5 @@ def find_study(name: str) -> Study:
         return MEASUREMENTS[name].study(name)
     if name not in STUDIES:
         raise InputError(f"there is no suite {name!r}; there are {', '.join(summaries())}")
-    study: Study = importlib.import_module(f"engine.lab.evaluate.{name}.study").STUDY
+    study: Study = importlib.import_module(f"engine.lab.evaluate.{name}.{name}_study").STUDY
     return study

@@ -9,7 +9,7 @@ import pytest
 from engine.lab.evaluate.baselines import study as baselines
 from engine.lab.evaluate.cost import study as cost
 from engine.lab.evaluate.null import study as null
-from engine.lab.evaluate.null.rates import LOG10_THRESHOLDS, Rates
+from engine.lab.evaluate.null.null_rates import LOG10_THRESHOLDS, Rates
 from engine.lab.evaluate.perceptual import study as perceptual
 from engine.lab.evaluate.steganalysis import study as steganalysis
 from engine.lab.evaluate.study import Bar, Options

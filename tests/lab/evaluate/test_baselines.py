@@ -12,10 +12,10 @@ import pytest
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
+from engine.lab.evaluate.baselines.baselines_study import STUDY
 from engine.lab.evaluate.baselines.method import Kept
 from engine.lab.evaluate.baselines.methods import METHODS, find_method
 from engine.lab.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
-from engine.lab.evaluate.baselines.study import STUDY
 from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.evaluate.published import read_published

@@ -13,8 +13,8 @@ from PIL import Image
 
 from engine.errors import InputError
 from engine.lab.evaluate.cell_runner import run_cells
-from engine.lab.evaluate.perceptual.measuring import flip_map, load_lpips, picture_text
-from engine.lab.evaluate.perceptual.study import STUDY
+from engine.lab.evaluate.perceptual.perceptual_cells import flip_map, load_lpips, picture_text
+from engine.lab.evaluate.perceptual.perceptual_study import STUDY
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
 

@@ -13,9 +13,9 @@ from engine.formats import read_model
 from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.intervals import area, area_interval
 from engine.lab.evaluate.report import write_report
-from engine.lab.evaluate.steganalysis.learned import detect_as_stranger, divide, float_born, measure_regions
-from engine.lab.evaluate.steganalysis.pictures import DETECTORS, chi_square, fuse, replace_lsb
-from engine.lab.evaluate.steganalysis.study import STUDY
+from engine.lab.evaluate.steganalysis.learned_detectors import detect_as_stranger, divide, float_born, measure_regions
+from engine.lab.evaluate.steganalysis.picture_detectors import DETECTORS, chi_square, fuse, replace_lsb
+from engine.lab.evaluate.steganalysis.steganalysis_study import STUDY
 from engine.lab.evaluate.study import Options
 from engine.raster import render
 

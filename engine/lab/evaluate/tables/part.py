@@ -13,7 +13,7 @@ from engine.lab.evaluate.summary import Column, grouped, mean_text, picked, tabl
 
 PROFILE = "fast"
 """Profile that a setting starts from: the cheapest one, so nothing shown here needs more."""
-MEASURING = "engine.lab.evaluate.tables.measuring"
+MEASURING = "engine.lab.evaluate.tables.tables_cells"
 """Module of the cells' functions, where no bench has the same."""
 KINDS = ("marked", "refused", "view", "picture")
 """Of the rows of a setting's cell."""

@@ -12,8 +12,8 @@ from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_b
 from engine.lab.evaluate.figures import Axes, label_line, styles
 from engine.lab.evaluate.study import Cell, Options, Row, Table
 from engine.lab.evaluate.summary import accuracy, mean_text, picked, share_text, table
-from engine.lab.evaluate.tables.measuring import OF_VIEWS, UNTOUCHED, mark_setting
 from engine.lab.evaluate.tables.part import DEFAULT, changes_of, efforts, scenes_of
+from engine.lab.evaluate.tables.tables_cells import OF_VIEWS, UNTOUCHED, mark_setting
 from engine.numerics.image_metrics import psnr
 from engine.raster import EarlyStop, prepare_view, sh_colors
 

@@ -9,8 +9,8 @@ import pytest
 
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.cell_runner import run_cells
-from engine.lab.evaluate.cost.measuring import measure_size
-from engine.lab.evaluate.cost.study import STUDY
+from engine.lab.evaluate.cost.cost_cells import measure_size
+from engine.lab.evaluate.cost.cost_study import STUDY
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.lab.evaluate.cell_runner import run_cells
-from engine.lab.evaluate.null.rates import (
+from engine.lab.evaluate.null.null_rates import (
     LOG10_THRESHOLDS,
     Rates,
     above,
@@ -18,7 +18,7 @@ from engine.lab.evaluate.null.rates import (
     exceeding,
     share_claimed,
 )
-from engine.lab.evaluate.null.study import STUDY
+from engine.lab.evaluate.null.null_study import STUDY
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Cell, Options
 from tests.lab.evaluate.pieces import write_piece

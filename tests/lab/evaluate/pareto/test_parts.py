@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from engine.flows.embed.profiles import AUTO, profile
-from engine.lab.evaluate.pareto.charts import draw_bytes_and_seconds, peers
-from engine.lab.evaluate.pareto.measuring import ATTACKS
+from engine.lab.evaluate.pareto.pareto_cells import ATTACKS
+from engine.lab.evaluate.pareto.pareto_charts import draw_bytes_and_seconds, peers
+from engine.lab.evaluate.pareto.pareto_sums import cheapest, pareto_front, results
 from engine.lab.evaluate.pareto.points import BASE, Point, config_of, points
-from engine.lab.evaluate.pareto.summing import cheapest, pareto_front, results
 from engine.lab.evaluate.published import Published, read_published
 
 

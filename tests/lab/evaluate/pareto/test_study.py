@@ -10,7 +10,7 @@ import pytest
 
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.cell_runner import run_cells
-from engine.lab.evaluate.pareto.study import STUDY
+from engine.lab.evaluate.pareto.pareto_study import STUDY
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from engine.lab.evaluate.stability.curves import breaking_point, first_below, strength_at
+from engine.lab.evaluate.stability.stability_curves import breaking_point, first_below, strength_at
 from engine.lab.evaluate.stability.sweeps import all_sweeps, branches, thinned
 from engine.lab.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
 

@@ -11,10 +11,10 @@ import pytest
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.report import write_report
-from engine.lab.evaluate.stability.curves import failing_first, sum_up
 from engine.lab.evaluate.stability.odd_inputs import ODD, QUICK
 from engine.lab.evaluate.stability.sameness import double_ply
-from engine.lab.evaluate.stability.study import STUDY
+from engine.lab.evaluate.stability.stability_curves import failing_first, sum_up
+from engine.lab.evaluate.stability.stability_study import STUDY
 from engine.lab.evaluate.study import Options, Row
 from engine.model import GaussianModel
 from tests.lab.evaluate.pieces import write_piece

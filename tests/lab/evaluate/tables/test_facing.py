@@ -9,7 +9,7 @@ import pytest
 from engine.lab.evaluate.study import Options
 from engine.lab.evaluate.tables.as_paper import cells, rows_as_paper
 from engine.lab.evaluate.tables.facing import Line, lines, page
-from engine.lab.evaluate.tables.study import PARTS, STUDY
+from engine.lab.evaluate.tables.tables_study import PARTS, STUDY
 
 OPTIONS = Options(("a/plant.splat",))
 

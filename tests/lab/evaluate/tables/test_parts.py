@@ -17,10 +17,10 @@ from engine.formats import read_model
 from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.marked_scene import configure
 from engine.lab.evaluate.summary import accuracy, mean_text, range_text, share_text, table
-from engine.lab.evaluate.tables.curves import effect
 from engine.lab.evaluate.tables.part import printed
 from engine.lab.evaluate.tables.sections.ablation import LINES, verdict
 from engine.lab.evaluate.tables.sections.fig6 import knobs as knobs_of_figure_6
+from engine.lab.evaluate.tables.tables_curves import effect
 from engine.lab.evaluate.tables.without import STEPS, without
 from engine.model import SH_C0
 from engine.watermark import planning

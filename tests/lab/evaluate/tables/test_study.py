@@ -14,7 +14,7 @@ from engine.formats import encode_model, read_model
 from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.report import write_report
 from engine.lab.evaluate.study import Options
-from engine.lab.evaluate.tables.study import PARTS, STUDY
+from engine.lab.evaluate.tables.tables_study import PARTS, STUDY
 
 PLANT = str(Path(__file__).parents[3] / "data" / "plant.splat")
 DRAWN = {"table1", "table2", "table5", "fig6", "fig7", "ablation"}

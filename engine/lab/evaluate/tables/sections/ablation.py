@@ -6,11 +6,11 @@ from statistics import fmean
 from engine.lab.evaluate.figures import INK, Figure, figure, styles
 from engine.lab.evaluate.study import Cell, Drawing, Options, Row, Section
 from engine.lab.evaluate.summary import INTERVALS, accuracy, share_text, table
-from engine.lab.evaluate.tables.curves import Effect, effect
 from engine.lab.evaluate.tables.part import CONDITIONS, DEFAULT, Part, Setting, rows_of_setting, setting_cells
 from engine.lab.evaluate.tables.sections.fig6 import compact
 from engine.lab.evaluate.tables.sections.fig7 import BUDGET_DB, pruned, share_pruned
 from engine.lab.evaluate.tables.sections.table6 import LOSSES, STEPS, refined
+from engine.lab.evaluate.tables.tables_curves import Effect, effect
 
 NAMES = {"model": "the model", "none": "picture", **{name: f"picture, {name}" for name in CONDITIONS[1:]}}
 """What z is read from."""

@@ -6,9 +6,9 @@ from engine.lab.evaluate.figures import Figure, figure
 from engine.lab.evaluate.study import Cell, Drawing, Options, Row, Section, Table
 from engine.lab.evaluate.summary import INTERVALS, grouped, picked
 from engine.lab.evaluate.tables import stopping
-from engine.lab.evaluate.tables.curves import Knob, draw_knob, knob_table
 from engine.lab.evaluate.tables.part import DEFAULT, Part, Setting, printed, setting_cells
 from engine.lab.evaluate.tables.sections.table6 import LOSSES, refined
+from engine.lab.evaluate.tables.tables_curves import Knob, draw_knob, knob_table
 
 DOUBTS, PAPER_STEPS = (0.8, 1.0, 1.1, 1.2, 1.4, 1.6), 100
 """tau_unc of the paper's figure, and the Adam steps of these points."""

@@ -5,8 +5,8 @@ from statistics import fmean
 from engine.lab.evaluate.figures import Axes, Figure, figure, label_line, styles
 from engine.lab.evaluate.study import Cell, Drawing, Options, Row, Section
 from engine.lab.evaluate.summary import INTERVALS, picked, table
-from engine.lab.evaluate.tables.curves import Knob, draw_knob, knob_table
 from engine.lab.evaluate.tables.part import DEFAULT, Part, Setting, setting_cells
+from engine.lab.evaluate.tables.tables_curves import Knob, draw_knob, knob_table
 
 BUDGET_DB = 30.0
 """Budget at which gamma is turned, dB."""

@@ -4,7 +4,6 @@ from statistics import fmean
 
 from engine.lab.evaluate.study import Bar, Cell, Options, Row, Section
 from engine.lab.evaluate.summary import INTERVALS, Column, accuracy, picked, table
-from engine.lab.evaluate.tables.curves import effect
 from engine.lab.evaluate.tables.part import (
     CONDITIONS,
     DEFAULT,
@@ -17,6 +16,7 @@ from engine.lab.evaluate.tables.part import (
     rows_of_setting,
     setting_cells,
 )
+from engine.lab.evaluate.tables.tables_curves import effect
 
 STEPS, QUICK_STEPS = 100, 2
 """The paper runs 10,000; what more of them change is measured once, by the part `paper`."""

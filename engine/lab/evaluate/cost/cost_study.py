@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from engine.lab.evaluate.cost.charts import Curve, draw_formats, draw_growth, draw_roofline
-from engine.lab.evaluate.cost.growth import Growth, fit_growth
+from engine.lab.evaluate.cost.cost_charts import Curve, draw_formats, draw_growth, draw_roofline
+from engine.lab.evaluate.cost.cost_growth import Growth, fit_growth
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import busy_words, picked, table
 
-MODULE = "engine.lab.evaluate.cost.measuring"
+MODULE = "engine.lab.evaluate.cost.cost_cells"
 GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000)
 VIEWS = (1, 4, 16, 64)
 SIZES = (256, 512, 1024, 2048)

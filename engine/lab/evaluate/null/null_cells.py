@@ -21,7 +21,7 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.truth import forge, innocent_copies
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.marked_subjects import fast_config, fast_mark, picture_of
-from engine.lab.evaluate.null.rates import above, count_wrong_keys, counted
+from engine.lab.evaluate.null.null_rates import above, count_wrong_keys, counted
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import Float64, GaussianModel

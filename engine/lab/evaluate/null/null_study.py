@@ -13,7 +13,7 @@ import numpy as np
 
 from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.null import detectability, figures, measuring
-from engine.lab.evaluate.null.rates import CLAIM, LOG10_THRESHOLDS, Rates, add_up, exceeding, share_claimed
+from engine.lab.evaluate.null.null_rates import CLAIM, LOG10_THRESHOLDS, Rates, add_up, exceeding, share_claimed
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import distinct, grouped, listed, picked, table
 

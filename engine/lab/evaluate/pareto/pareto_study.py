@@ -13,7 +13,7 @@ from typing import Any
 
 from engine.flows.embed.auto_profile import SLACK_DB
 from engine.lab.evaluate.intervals import bootstrap, share_interval
-from engine.lab.evaluate.pareto.charts import (
+from engine.lab.evaluate.pareto.pareto_charts import (
     draw_bytes_and_seconds,
     draw_foretold,
     draw_main,
@@ -21,14 +21,14 @@ from engine.lab.evaluate.pareto.charts import (
     draw_time_and_fidelity,
     peers,
 )
+from engine.lab.evaluate.pareto.pareto_sums import Result, cheapest, results
 from engine.lab.evaluate.pareto.points import BASE, points
-from engine.lab.evaluate.pareto.summing import Result, cheapest, results
 from engine.lab.evaluate.published import read_published
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
 from engine.lab.evaluate.summary import Column, busy_words, grouped, table
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
-WORK = "engine.lab.evaluate.pareto.measuring:measure_point"
+WORK = "engine.lab.evaluate.pareto.pareto_cells:measure_point"
 MARGIN = 1.5
 """Times the z of a claim at 1e-9: what a recommended setting keeps after the worst attack."""
 LEAST_DB = 47.0 - SLACK_DB

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from engine.lab.evaluate.baselines.measuring import BITS, LEAST_MATCHES, attack_baseline, attack_ours
+from engine.lab.evaluate.baselines.baselines_cells import BITS, LEAST_MATCHES, attack_baseline, attack_ours
 from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.figures import SEQUENTIAL, Figure, figure
 from engine.lab.evaluate.intervals import share_interval

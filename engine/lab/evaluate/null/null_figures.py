@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 from engine.lab.evaluate.figures import FAINT, INK, Figure, figure, label_line, spread_curve, styles
 from engine.lab.evaluate.intervals import share_interval
-from engine.lab.evaluate.null.rates import CLAIM, LOG10_THRESHOLDS, Rates, share_claimed
+from engine.lab.evaluate.null.null_rates import CLAIM, LOG10_THRESHOLDS, Rates, share_claimed
 from engine.lab.evaluate.study import Row
 from engine.lab.evaluate.summary import distinct, grouped, picked
 from engine.watermark.statistics import z_threshold

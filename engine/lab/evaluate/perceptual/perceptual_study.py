@@ -15,7 +15,7 @@ import numpy as np
 
 from engine.lab.evaluate.figures import FAINT, Figure, figure, styles
 from engine.lab.evaluate.intervals import bootstrap
-from engine.lab.evaluate.perceptual.measuring import COMPARED_QUALITIES, look_at_mark
+from engine.lab.evaluate.perceptual.perceptual_cells import COMPARED_QUALITIES, look_at_mark
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import grouped, listed, picked
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from functools import partial
 
 from engine.lab.evaluate.intervals import share_interval
-from engine.lab.evaluate.stability.curves import Break, Swept, draw_costs, draw_map, failing_first, sum_up
 from engine.lab.evaluate.stability.odd_inputs import ODD, QUICK, stress
 from engine.lab.evaluate.stability.sameness import compare_machines, compare_precision
+from engine.lab.evaluate.stability.stability_curves import Break, Swept, draw_costs, draw_map, failing_first, sum_up
 from engine.lab.evaluate.stability.sweeps import PICTURE_SIZE, all_sweeps, sweep, thinned
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import listed, picked, table

@@ -12,8 +12,8 @@ import numpy as np
 
 from engine.lab.evaluate.figures import FAINT, Figure, figure, label_line, styles
 from engine.lab.evaluate.intervals import area, area_interval
-from engine.lab.evaluate.steganalysis.learned import FORMS, detect_as_insider, detect_as_stranger
-from engine.lab.evaluate.steganalysis.pictures import DETECTORS, look_at_renders
+from engine.lab.evaluate.steganalysis.learned_detectors import FORMS, detect_as_insider, detect_as_stranger
+from engine.lab.evaluate.steganalysis.picture_detectors import DETECTORS, look_at_renders
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
 from engine.lab.evaluate.summary import distinct, grouped, picked, table
 from engine.model import Float64

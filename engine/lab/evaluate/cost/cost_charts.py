@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.lab.evaluate.cost.growth import Growth
+from engine.lab.evaluate.cost.cost_growth import Growth
 from engine.lab.evaluate.figures import FAINT, INK, Figure, figure, styles
 from engine.lab.evaluate.study import Row
 
