@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from engine.lab.evaluate.baselines import study as baselines
-from engine.lab.evaluate.cost import study as cost
-from engine.lab.evaluate.null import study as null
+from engine.lab.evaluate.baselines import baselines_study as baselines
+from engine.lab.evaluate.cost import cost_study as cost
+from engine.lab.evaluate.null import null_study as null
 from engine.lab.evaluate.null.null_rates import LOG10_THRESHOLDS, Rates
-from engine.lab.evaluate.perceptual import study as perceptual
-from engine.lab.evaluate.steganalysis import study as steganalysis
+from engine.lab.evaluate.perceptual import perceptual_study as perceptual
+from engine.lab.evaluate.steganalysis import steganalysis_study as steganalysis
 from engine.lab.evaluate.study import Bar, Options
 from engine.lab.evaluate.tables.sections import table2
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from engine.lab.evaluate.intervals import share_interval
-from engine.lab.evaluate.null import detectability, figures, measuring
+from engine.lab.evaluate.null import detectability, null_cells, null_figures
 from engine.lab.evaluate.null.null_rates import CLAIM, LOG10_THRESHOLDS, Rates, add_up, exceeding, share_claimed
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import distinct, grouped, listed, picked, table
@@ -38,14 +38,14 @@ def cells(options: Options) -> list[Cell]:
     shares, counts = list(SHARES[2:5] if quick else SHARES), list(PICTURES[:2] if quick else PICTURES)
     samples = {"samples": 60, "draws": 19, "keys": 1} if quick else {"samples": 400, "draws": 199, "keys": 2}
     work: dict[str, tuple[Callable[..., list[Row]], dict[str, Any]]] = {
-        **{f"found-{name}": (measuring.try_found, {"name": name, "keys": keys}) for name in measuring.FOUND},
-        "crafted": (measuring.try_crafted, {"keys": keys}),
-        "copies": (measuring.try_copies, {"copies": 200 if quick else 10_000}),
-        "wrong-detector": (measuring.rebuild_reference, {"keys": 5 if quick else 100}),
-        "forged": (measuring.forge_original, {}),
-        "oracle": (measuring.ask_oracle, {"repeats": 1 if quick else 10}),
-        "gaussians": (measuring.few_gaussians, {"shares": shares, "trials": 2 if quick else 20}),
-        "pictures": (measuring.few_pictures, {"counts": counts, "draws": 20 if quick else 200}),
+        **{f"found-{name}": (null_cells.try_found, {"name": name, "keys": keys}) for name in null_cells.FOUND},
+        "crafted": (null_cells.try_crafted, {"keys": keys}),
+        "copies": (null_cells.try_copies, {"copies": 200 if quick else 10_000}),
+        "wrong-detector": (null_cells.rebuild_reference, {"keys": 5 if quick else 100}),
+        "forged": (null_cells.forge_original, {}),
+        "oracle": (null_cells.ask_oracle, {"repeats": 1 if quick else 10}),
+        "gaussians": (null_cells.few_gaussians, {"shares": shares, "trials": 2 if quick else 20}),
+        "pictures": (null_cells.few_pictures, {"counts": counts, "draws": 20 if quick else 200}),
         "attributes": (detectability.compare_attributes, samples),
     }
     made = []
@@ -54,7 +54,7 @@ def cells(options: Options) -> list[Cell]:
         made += [Cell.of(f"{number}-{name}", do, **common, **arguments) for name, (do, arguments) in work.items()]
         if len(options.scenes) > 1:
             other = options.scenes[(number + 1) % len(options.scenes)]
-            made.append(Cell.of(f"{number}-pair", measuring.try_pairs, **common, other=other))
+            made.append(Cell.of(f"{number}-pair", null_cells.try_pairs, **common, other=other))
     return made
 
 
@@ -172,7 +172,7 @@ def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[R
     )
     drawing = Drawing(
         "false-claims",
-        partial(figures.draw_false_claims, groups, add_up(wrong, "wrong detector"), title),
+        partial(null_figures.draw_false_claims, groups, add_up(wrong, "wrong detector"), title),
         "Share of wrong keys that reach each stated bound. Where nothing is drawn no key came so far.",
     )
     return Section("False claims", [text], [shown], [drawing])
@@ -210,12 +210,12 @@ def _power_section(power: Sequence[Row]) -> Section:
     drawings = [
         Drawing(
             "power",
-            partial(figures.draw_power, gaussians, pictures, title),
+            partial(null_figures.draw_power, gaussians, pictures, title),
             "Share of marked suspects claimed at 1e-9 against the amount of evidence.",
         ),
         Drawing(
             "roc",
-            partial(figures.draw_roc, _telling(roc), "ROC: right claims against the bound of a false one"),
+            partial(null_figures.draw_roc, _telling(roc), "ROC: right claims against the bound of a false one"),
             "ROC for evidence that is just enough and not enough.",
         ),
     ]
@@ -250,7 +250,7 @@ def _oracle_section(oracle: Sequence[Row]) -> Section:
         "coarsely and counts their questions."
     )
     title = f"An oracle that tells z is enough to frame its owner {after}"
-    drawing = Drawing("oracle", partial(figures.draw_oracle, oracle, title), "z of the sum of liked patterns.")
+    drawing = Drawing("oracle", partial(null_figures.draw_oracle, oracle, title), "z of the sum of liked patterns.")
     return Section("What the owner's own answers give away", [text], [], [drawing])
 
 
@@ -277,7 +277,7 @@ def _detect_section(seen: Sequence[Row]) -> Section:
         "p",
     )
     drawing = Drawing(
-        "detectability", partial(figures.draw_detectability, seen, title), "Each point is one key and scene."
+        "detectability", partial(null_figures.draw_detectability, seen, title), "Each point is one key and scene."
     )
     return Section("Can the mark be seen in the file's numbers?", [text], [shown], [drawing])
 
