@@ -17,8 +17,9 @@ from engine.numerics.plain import Json
 from engine.records.codec import packed_parts
 from engine.watermark.keys import COPY_NAME, RECORD_CHECK, RECORD_ID, OwnerKey
 
-FORMAT_VERSION = 2
-"""Of records made here; those of 1 and 2 are read. 2 has the grain, and settles strengths before chips are drawn."""
+FORMAT_VERSION = 3
+"""Of records made here; those of 1 and 2 are read. 2 has the grain, and settles strengths before chips are drawn. 3 has
+an owner's layer that all copies share, and one of the copy."""
 
 HEX_LENGTHS = {
     "record_id": 32,

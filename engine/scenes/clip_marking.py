@@ -152,14 +152,14 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
         raise InputError(f"this is not the original the record commits to: {original.digest()[:16]}... given")
     posed = original.at(time).with_(sh=opened.reference.sh)
     rows = _visible_rows(posed, f" at time {time:g}")
-    layout = replace(opened.layout, labels=tuple(labels[rows] for labels in opened.layout.labels))
+    layout, copies = opened.layout.at(rows), opened.copies and opened.copies.at(rows)
     kept = np.zeros(len(posed), dtype=bool)
     kept[rows] = True
     reference = posed.take(rows)
     landmarks = None
     if landmark_views:
         landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *LANDMARK_SIZE))
-    return replace(opened, reference=reference, layout=layout, landmarks=landmarks, kept=kept)
+    return replace(opened, reference=reference, layout=layout, copies=copies, landmarks=landmarks, kept=kept)
 
 
 def find_time(

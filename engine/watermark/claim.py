@@ -17,6 +17,7 @@ from engine.numerics.plain import Json
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
 from engine.watermark.power import Moments, moments
+from engine.watermark.power import change as measured
 from engine.watermark.rates import AppliedRate
 from engine.watermark.statistics import (
     CHANCE_RATE,
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
 
 SCATTERED = "_by_scatter"
 """What follows the names of `layers.LAYERS` in a claim where pictures were read by their scatter."""
+
+
+LINEAR = "_unsaturated"
+"""And where what Gaussians say counts in proportion."""
 
 
 class Verdict(StrEnum):
@@ -131,11 +136,16 @@ class Claim:
     derivation: Derivation  # whether the suspect was made from the asset; stands whatever the verdict is
     transform: Transform | None  # as the route found it
     route: str  # kind of evidence
-    copy: str  # name of the copy whose mark was looked for
+    copy: str  # name of the copy whose record it is
     missing: str  # what an inconclusive answer lacks; otherwise empty
     notes: tuple[str, ...]  # for the reader
     # z of both layers of the mark together and of each alone; the claim rests on the strongest. None where there is one
     layers: dict[str, float] | None = None
+    # z of the layer by which this copy differs from others, tries counted in `copy_named`; None where there is no such
+    # layer: of records before format 3, whose claim is about one copy, and of models marked for nobody
+    copy_z: float | None = None
+    # Whether it is this copy, or made from it, at the rate that applies; None where `copy_z` is
+    copy_named: bool | None = None
 
     @property
     def derived_fraction(self) -> float | None:
@@ -162,8 +172,9 @@ class Circumstances:
     notes: tuple[str, ...] = ()  # for the reader of the claim
     # z of each layer of the mark, where the evidence is the loudest of several: none may be suspicious for `not_marked`
     layers: Mapping[str, float] | None = None
-    change: float | None = None  # largest `Moments.change` of those layers; default: that of the evidence
+    change: float | None = None  # largest `power.change` of those layers; default: that of the evidence
     sums: Moments | None = None  # those of the evidence, where they are known
+    copy_z: float | None = None  # of the copy layer, where there is one
 
 
 def decide(
@@ -207,7 +218,7 @@ def decide(
     # 4. Compute power and room.
     sums = moments(evidence.y, evidence.weights, evidence.signal) if known.sums is None else known.sums
     strength = sums.worn(config.surviving).power(threshold)
-    change = sums.change if known.change is None else known.change
+    change = measured(evidence.y, evidence.weights, evidence.signal) if known.change is None else known.change
     loudest = max(abs(each) for each in (z, *(known.layers or {}).values()))  # far below 0: turned round
     doubtful = log10_false_claim_bound(loudest, tries) < math.log10(config.doubt_rate)
     # 5. Answer.
@@ -263,6 +274,8 @@ def decide(
         missing=missing,
         notes=known.notes,
         layers=None if known.layers is None else dict(known.layers),
+        copy_z=known.copy_z,
+        copy_named=None if known.copy_z is None else known.copy_z >= threshold,
     )
 
 

@@ -42,6 +42,11 @@ class Grain:
         """Number of its chips on a model of so many Gaussians."""
         return ATTRIBUTES * gaussians if self.there else 0
 
+    def displacements(self, values: Float64) -> Float64:
+        """(6 N,) displacements, in `units` and log scales, of chips with these values (6 N,)."""
+        each = values.reshape(-1, 2, ATTRIBUTES // 2) * np.array([self.center, self.scale])[:, None]
+        return np.asarray(each.reshape(-1))
+
     def times(self, factor: float) -> "Grain":
         """The grain made finer or coarser."""
         return Grain(float(np.float32(self.center * factor)), float(np.float32(self.scale * factor)))
@@ -71,8 +76,8 @@ def roughen(model: GaussianModel, grain: Grain, signs: Float32) -> GaussianModel
 
     Parameters
     ----------
-    signs : (N, 6) +-1
-        Chip times bit of each chip.
+    signs : (N, 6)
+        Of each chip: chip times bit, times its size where chips have sizes.
     """
     means, log_scales = np.empty_like(model.means), np.empty_like(model.log_scales)
     steps, limits = np.array([grain.center, grain.scale]), np.array([FLAT, THINNEST])

@@ -161,9 +161,9 @@ def gather_grain_evidence(
     scales = reference.log_scales
     origin = float(np.median(scales[:: max(1, len(scales) // 10_000)])) / math.log(2.0) - SIZES // 2
     usual = _usual(y, trust, scales, origin)
-    weights, signal = np.empty_like(y), np.empty_like(y)
-    _weigh(y, trust, scales, origin, usual, np.array([grain.center, grain.scale]), weights, signal)
-    return Evidence(y.reshape(-1), weights.reshape(-1), signal.reshape(-1))
+    weights, linear, signal = np.empty_like(y), np.empty_like(y), np.empty_like(y)
+    _weigh(y, trust, scales, origin, usual, np.array([grain.center, grain.scale]), weights, linear, signal)
+    return Evidence(y.reshape(-1), weights.reshape(-1), signal.reshape(-1), linear.reshape(-1))
 
 
 def _by_reference(y: Float64, found: Int32, quality: Float32, total: Float64) -> tuple[Float64, Float64]:
@@ -194,8 +194,8 @@ def _count_sizes(y, trust, log_scales, origin, table, call):
 
 
 @parallel_kernel
-def _weigh(y, trust, log_scales, origin, usual, amplitudes, weights, signal, call):
-    """What each difference tells, to weights and signal (N, 6)."""
+def _weigh(y, trust, log_scales, origin, usual, amplitudes, weights, linear, signal, call):
+    """What each difference tells, to weights, those that do not fall with its size, and signal (N, 6)."""
     for i in share_of(len(y), call):
         scales = (math.exp(log_scales[i, 0]), math.exp(log_scales[i, 1]), math.exp(log_scales[i, 2]))
         least = THINNEST * middle_of(scales)
@@ -205,8 +205,9 @@ def _weigh(y, trust, log_scales, origin, usual, amplitudes, weights, signal, cal
             carries = kind == 0 or scales[axis] >= least
             far = y[i, a] / (LOST * max(noise, amplitude))
             sure = max(1.0 - far * far, 0.0)  # Tukey's: an even function of y, blind to its sign
-            weight = trust[i] * sure * sure * amplitude / (noise * noise + amplitude * amplitude)
-            weights[i, a] = weight if carries and amplitude > 0.0 else 0.0
+            weight = trust[i] * amplitude / (noise * noise + amplitude * amplitude) if amplitude > 0.0 else 0.0
+            linear[i, a] = weight if carries else 0.0
+            weights[i, a] = linear[i, a] * sure * sure
             signal[i, a] = amplitude if carries and trust[i] > 0.0 else 0.0
 
 

@@ -67,4 +67,4 @@ def only(evidence: Evidence, layer: str, tint: int) -> Evidence:
         return evidence
     keep = np.arange(len(evidence.y)) < tint
     weights = np.where(keep if layer == "tint" else ~keep, evidence.weights, 0.0)
-    return Evidence(evidence.y, weights, np.where(weights > 0, evidence.signal, 0.0), evidence.pulled)
+    return Evidence(evidence.y, weights, np.where(weights > 0, evidence.signal, 0.0), pulled=evidence.pulled)

@@ -1,11 +1,12 @@
 """The layout of a mark: which code vectors exist, their carriers, and how far each chip is displaced."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from engine.model import Float32, Float64, Int32
+from engine.model import Float32, Float64, Int32, Int64
 
 MARK_SCALE = 0.02
 """Size of a typical displacement, SH units (a mark at 47 dB moves code vectors by 0.01 to 0.05). Planned amplitudes
@@ -23,6 +24,9 @@ class Layout:
     # (R, D) each: carriers of each stage; the same R and D for all. D is 3, DC space, or 3K of all coefficients
     directions: tuple[Float64, ...]
     amplitudes: Float64  # (C,) size of each chip's displacement, SH units; flat order stage, code vector, carrier
+    # (N,) how many times its code vectors' displacements each Gaussian takes, so that no two are displaced alike; the
+    # stages are then cells of several widths, each over all of the scene. None: one time, and stages as the quantizer's
+    multiples: Float32 | None = None
 
     @property
     def chips(self) -> int:
@@ -34,11 +38,20 @@ class Layout:
         """Numbers D of a Gaussian's colour that the mark displaces: the first 3, or all."""
         return int(self.directions[0].shape[1])
 
+    @property
+    def parts(self) -> list[slice]:
+        """Where the chips of each stage lie."""
+        ends = np.cumsum([0, *self.codes]) * len(self.directions[0])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def at(self, rows: Int64 | Int32) -> "Layout":
+        """Of these Gaussians alone."""
+        labels = tuple(label[rows] for label in self.labels)
+        return replace(self, labels=labels, multiples=None if self.multiples is None else self.multiples[rows])
+
     def split(self, flat: Float64) -> list[Float64]:
         """(C,) per chip -> one (codes, R) array per stage."""
-        carriers = len(self.directions[0])
-        ends = np.cumsum(self.codes)[:-1] * carriers
-        return [part.reshape(-1, carriers) for part in np.split(flat, ends)]
+        return [flat[part].reshape(-1, len(self.directions[0])) for part in self.parts]
 
     def displace(self, signed: Float64) -> Float32:
         """(N, D) displacement of each Gaussian's colour for the displacements (C,) of the chips.
@@ -48,12 +61,16 @@ class Layout:
         total = np.zeros((len(self.labels[0]), self.width))
         for part, label, direction in zip(self.split(signed), self.labels, self.directions, strict=True):
             total += (part @ direction)[label]
+        if self.multiples is not None:
+            total *= self.multiples[:, None]
         return total.astype(np.float32)
 
     def gather(self, per_gaussian: Values) -> Float64:
         """(C,) adjoint of `displace`: sums a gradient (N, D) with respect to the colours over each chip; of one (N, 3)
         with respect to DC, the DC part of the carriers is taken."""
         flat, width = [], per_gaussian.shape[1]
+        if self.multiples is not None:
+            per_gaussian = per_gaussian * self.multiples[:, None]
         for count, label, direction in zip(self.codes, self.labels, self.directions, strict=True):
             sums = [np.bincount(label, per_gaussian[:, c], count) for c in range(width)]
             flat.append((np.stack(sums, axis=1) @ direction[:, :width].T).reshape(-1))

@@ -25,6 +25,9 @@ class Evidence:
     y: Float64  # (C,) estimated displacement of each code vector along each carrier
     weights: Float64  # (C,) non-negative weights: expected displacement over variance, less where |y| stands out
     signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
+    # (C,) the weights of what was measured on Gaussians before they fall with |y|: a thief who pushes a chip far makes
+    # it say nothing; None of pictures
+    linear: Float64 | None = None
     # (N, 3) each: what every picture says of the Gaussians' colours, from which another copy's cells can be read
     pulled: tuple[Float32, ...] = ()
     # (M, D) of each stage, of a model: how far each code vector as a whole seems to be displaced (Eq 10's c' - c)
@@ -35,9 +38,28 @@ class Evidence:
         """(C,) w y: what each chip's sign is multiplied with."""
         return self.weights * self.y
 
+    def part(self, chips: slice) -> tuple[Float64, Float64, Float64]:
+        """y, weights and signal of some of the chips."""
+        return self.y[chips], self.weights[chips], self.signal[chips]
+
     def behind(self, chips: int) -> "Evidence":
         """The evidence without the first so many chips."""
-        return Evidence(self.y[chips:], self.weights[chips:], self.signal[chips:])
+        return Evidence(*self.part(slice(chips, None)))
+
+    def sized(self, sizes: Float32 | None) -> "Evidence":
+        """The evidence of chips of these sizes (C,): each counts, and is expected, by as much more or less.
+
+        Sizes come from streams of their own, so nothing here knows a sign.
+        """
+        if sizes is None:
+            return self
+        linear = None if self.linear is None else self.linear * sizes
+        return replace(self, weights=self.weights * sizes, signal=self.signal * sizes, linear=linear)
+
+    def unsaturated(self) -> "Evidence | None":
+        """The same, each chip counted by what it says however far it was pushed; None where there is no such
+        reading."""
+        return None if self.linear is None else replace(self, weights=self.linear)
 
     def plus(self, other: "Evidence") -> "Evidence":
         """Both together, the other on the first of these chips: what each says of a chip is added, so that every secret
@@ -46,13 +68,16 @@ class Evidence:
         first = np.zeros((2, len(self.y)))
         first[:, : len(other.y)] = other.evidence, other.weights * other.signal
         signal = self.weights * self.signal + first[1]
-        return Evidence(self.evidence + first[0], np.ones(len(self.y)), signal, self.pulled + other.pulled)
+        return Evidence(self.evidence + first[0], np.ones(len(self.y)), signal, pulled=self.pulled + other.pulled)
 
     def then(self, other: "Evidence") -> "Evidence":
         """Evidence on more chips: these, the other's behind."""
         y, weights = np.concatenate([self.y, other.y]), np.concatenate([self.weights, other.weights])
         signal = np.concatenate([self.signal, other.signal])
-        return Evidence(y, weights, signal, differences=self.differences)
+        linear = None
+        if self.linear is not None and other.linear is not None:
+            linear = np.concatenate([self.linear, other.linear])
+        return Evidence(y, weights, signal, linear, differences=self.differences)
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
@@ -125,31 +150,43 @@ def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixture
 def gather_residual(layout: Layout, found: Residual) -> Evidence:
     """Displacement of every code vector along every carrier, "inverse SVD" of Eq 10 with Eq 11's compensation."""
     residual, trust, count = found.values, found.trust, len(found.values)
+    shares = found.shares
+    if layout.multiples is not None:
+        shares = shares * layout.multiples[found.reference_rows]
     stages = [
-        CodeShares(found.rows, stage[found.reference_rows], found.shares, (count, codes))
+        CodeShares(found.rows, stage[found.reference_rows], shares, (count, codes))
         for stage, codes in zip(layout.labels, layout.codes, strict=True)
     ]
-    means, left = _take_turns(stages, residual, trust)
+    means, left = _take_turns(stages, residual, trust, widest_first=layout.multiples is not None)
     if len(found.rows) > count:
         # Plain matches err each by itself. Mixtures err in what they are made of, too, and those that share a patch err
         # together: what they have in common is no excuse for them.
         left = residual
-    y, variance = [], []
-    for mean, stage, direction in zip(means, stages, layout.directions, strict=True):
+    weighed: Evidence | None = None
+    for mean, stage, direction, part in zip(means, stages, layout.directions, layout.parts, strict=True):
         along = direction[:, : residual.shape[1]].T
-        y.append((mean @ along).reshape(-1))
-        variance.append(stage.variance(left @ along, trust).reshape(-1))
-    weighed = _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
+        variance = stage.variance(left @ along, trust).reshape(-1)
+        said = _weigh((mean @ along).reshape(-1), variance, layout.amplitudes[part], len(direction))
+        weighed = said if weighed is None else weighed.then(said)
+    assert weighed is not None
     return replace(weighed, differences=tuple(means))
 
 
-def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> tuple[list[Float64], Float64]:
-    """Displacements (codes, D) of each stage's code vectors, and what they leave of the residuals (n, D)."""
+def _take_turns(
+    stages: list[CodeShares], residual: Float64, trust: Float64, *, widest_first: bool
+) -> tuple[list[Float64], Float64]:
+    """Displacements (codes, D) of each stage's code vectors, and what they leave of the residuals (n, D).
+
+    Cells of several widths are read once, the widest first: small ones could explain all that wide ones say. The
+    quantizer's stages take turns.
+    """
     means = [np.zeros((stage.codes, residual.shape[1])) for stage in stages]
     explained = [np.zeros_like(residual) for _ in stages]
     left = residual
-    for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over
-        for s, stage in enumerate(stages):
+    order = sorted(range(len(stages)), key=lambda s: stages[s].codes) if widest_first else list(range(len(stages)))
+    for _ in range(PASSES if len(stages) > 1 and not widest_first else 1):  # Eq 11: each sees what the others leave
+        for s in order:
+            stage = stages[s]
             left = left + explained[s]
             means[s] = stage.means(left, trust)
             explained[s] = stage.explained(means[s], left, trust)
@@ -165,7 +202,7 @@ def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) ->
     variance = np.where(seen, variance, 1.0) + amplitudes**2 + _shared(y, seen, carriers) + 1e-12
     weights = np.where(seen, amplitudes / variance, 0.0)
     y = np.where(seen, y, 0.0)
-    return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0))
+    return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0), weights)
 
 
 def _shared(y: Float64, seen: Bool, carriers: int) -> Float64:

@@ -50,8 +50,16 @@ class PlanConfig:
     # that would show (see `layer_strengths`)
     grain_center: float = 0.05
     grain_scale: float = 0.02
-    # Code vectors that a copy's key makes of the public cells, two or more of these each; a power of two
+    # Code vectors that the key makes of the public cells, two or more of these each; a power of two
     codes: int = 4096
+    # The same again as cells that are 8 times as wide, 64 times, ..., so often; and what share of the tint's image
+    # energy these have: what is wide outlives smoothing, merging and posted pictures
+    wide_scales: int = 2
+    wide_share: float = 0.25
+    # Where copies are told apart: what share of the squared error is theirs. The rest is the owner's, the same in all
+    # copies, and carries the claim; pictures need more of it
+    copy_tint: float = 0.25
+    copy_grain: float = 0.5
     # Amplitudes grow with this power of how badly a code vector's colour can be guessed from its surroundings
     surprise_exponent: float = 0.3
 
@@ -62,11 +70,17 @@ class Plan:
 
     layout: Layout
     energies: Float64
+    copies: Layout | None = None  # of what tells copies apart, where there is such a layer
 
     def times(self, factor: float) -> "Plan":
         """The plan at another strength."""
-        amplitudes = (factor * self.layout.amplitudes).astype(np.float32).astype(np.float64)  # as the record keeps them
-        return Plan(replace(self.layout, amplitudes=amplitudes), factor**2 * self.energies)
+        copies = None if self.copies is None else scaled(self.copies, factor)
+        return Plan(scaled(self.layout, factor), factor**2 * self.energies, copies)
+
+
+def scaled(layout: Layout, factor: float) -> Layout:
+    """A layout at another strength, with amplitudes as a record keeps them."""
+    return replace(layout, amplitudes=(factor * layout.amplitudes).astype(np.float32).astype(np.float64))
 
 
 def make_plan(
@@ -76,6 +90,7 @@ def make_plan(
     emphasis: Float32 | Float64 | None = None,
     missed: Float64 | None = None,
     jitter: Callable[[int], Float64] | None = None,
+    multiples: Float32 | None = None,
     *,
     whole: bool = False,
 ) -> Plan:
@@ -86,7 +101,7 @@ def make_plan(
     Parameters
     ----------
     stages : sequence of Stage
-        Quantiser of the unmarked model; at least stage 0.
+        Quantiser of the unmarked model, at least stage 0; with `multiples`, cells of several widths.
     impact : Impact
         Over the key views.
     emphasis : (N,) float, optional
@@ -95,24 +110,28 @@ def make_plan(
         What the surroundings of each code vector of stage 0 leave unexplained of its colour, see `unexplained`.
     jitter : callable, optional
         From a number of chips to keyed factors on their amplitudes.
+    multiples : (N,) float32, optional
+        See `Layout`.
     whole : bool
         Carriers over all coefficients (the paper), not in DC alone. The mean square of every harmonic over all
         directions is that of DC, so energies are estimated alike.
     """
     config = config or PlanConfig()
-    stages = stages[: config.stages]
+    cells = multiples is not None  # all stages are cells, and none a residual's codes
+    stages, rest = (stages, config.wide_share) if cells else (stages[: config.stages], config.residual_share)
+    shown = impact.per_view if multiples is None else [view * multiples for view in impact.per_view]
     amplitudes, energies, directions = [], [], []
     for number, stage in enumerate(stages):
         count = len(stage.codebook)
-        coverage = np.stack([np.bincount(stage.labels, view, count) for view in impact.per_view])  # (V, M)
+        coverage = np.stack([np.bincount(stage.labels, view, count) for view in shown])  # (V, M)
         usage = coverage.sum(axis=0)
         # In the image a cell adds up over its members; a residual code's members are strangers to each other.
-        reach = coverage if number == 0 else coverage * _incoherence(stage, impact, count)
+        reach = coverage if number == 0 or cells else coverage * _incoherence(stage, impact, count)
         mask = visual_mask(stage, impact, usage, count, config)
         if emphasis is not None:
             members = np.maximum(np.bincount(stage.labels, minlength=count), 1)
             mask = mask * np.bincount(stage.labels, emphasis, count) / members
-        if number == 0:
+        if number == 0 or cells:
             mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
         carriers = make_carriers(stage.codebook, usage, whole=whole)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
@@ -121,7 +140,7 @@ def make_plan(
         if jitter is not None:
             chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
-        share = 1.0 - config.residual_share if number == 0 else config.residual_share / (len(stages) - 1)
+        share = 1.0 - rest if number == 0 else rest / (len(stages) - 1)
         if len(stages) == 1:
             share = 1.0
         scale = share / max(float(energy.sum(axis=(1, 2)).mean()), 1e-300)
@@ -135,6 +154,7 @@ def make_plan(
         tuple(len(stage.codebook) for stage in stages),
         tuple(directions),
         (scale * flat).astype(np.float32).astype(np.float64),  # as the record keeps them
+        multiples,
     )
     return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
 

@@ -47,17 +47,6 @@ class Moments(NamedTuple):
         """See the function."""
         return self.signal / self.root if self.root > 0 else 0.0
 
-    @property
-    def change(self) -> float:
-        """Size of what was measured, in sizes of the mark: sqrt(sum (w y)^2 / sum (w s)^2); inf where none is expected.
-
-        Power takes for granted that what lies over the mark knows nothing of it. Who cleans a stolen model does: he
-        puts an estimate of the mark against it, and then Z is small, too. But an estimate of correlation r with the
-        mark leaves sqrt(1 / r^2 - 1) of the mark's size behind when it takes all of Z: only near the original there is
-        no room for it.
-        """
-        return math.sqrt(self.noise / self.mark) if self.mark > 0 else math.inf
-
     def worn(self, share: float) -> "Moments":
         """Those of a mark of which so much is left."""
         mixed = share * self.mixed[0], share**2 * self.mixed[1]
@@ -116,6 +105,25 @@ def moments(y: Float64, w: Float64, signal: Float64 | float) -> Moments:
     unit = max(largest[0], largest[2]) or 1.0
     shown = np.maximum(np.abs(y / unit), np.abs(signal / unit)) * (w / (largest[1] or 1.0))
     return _sums(y, w, signal, unit, (largest[1] or 1.0) * (float(shown.max(initial=0.0)) or 1.0))
+
+
+FAR = 4.0
+"""Sizes of the mark at which the change of one chip is counted, where it is larger: a wrong match, or one that a thief
+pushed until its weight fell to nothing."""
+
+
+def change(y: Float64, w: Float64, signal: Float64) -> float:
+    """Size of what was measured, in sizes of the mark: sqrt(sum (w y)^2 / sum (w s)^2); inf where none is expected.
+
+    Power takes for granted that what lies over the mark knows nothing of it. Who cleans a stolen model does: he puts an
+    estimate of the mark against it, and then Z is small, too. But an estimate of correlation r with the mark leaves
+    sqrt(1 / r^2 - 1) of the mark's size behind when it takes all of Z: only near the original there is no room for it.
+    The arguments are those of `moments`, with weights that do not fall with the size of y.
+    """
+    expected = np.abs(w * signal)
+    mark = float(expected @ expected)
+    measured = w * np.minimum(np.abs(y), FAR * np.abs(signal))
+    return math.sqrt(float(measured @ measured) / mark) if mark > 0 else math.inf
 
 
 def _sums(y: Float64, w: Float64, signal: Float64, unit: float, top: float) -> Moments:

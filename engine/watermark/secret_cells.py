@@ -1,15 +1,18 @@
 """Cells that only the key knows (DESIGN 4.5): without their borders, displacements cannot be estimated.
 
-The quantizer's cells are public: they follow from the model. They are small, and each copy's key joins them to
-code vectors of its own, neighbours only, by a k-d tree whose cuts it draws; it draws how much each one moves, too.
-All of that is settled, and bound by the record id, before a chip is drawn from another sub-key.
+The quantizer's cells are public: they follow from the model. They are small, and the owner's key joins them to
+code vectors of its own, neighbours only, by a k-d tree whose cuts it draws; it draws how much each one moves, too, and
+how many times that each Gaussian in it does. All copies of an asset have the same cells: cells of a copy's own would
+give those who compare copies more equations than unknowns. All of that is settled, and bound by the record id, before a
+chip is drawn from another sub-key.
 """
 
 import numpy as np
+import scipy
 
 from engine.compress.hvq import Stage, group_means
-from engine.model import Float64, GaussianModel, Int32
-from engine.watermark.keys import CELLS, OwnerKey, uniform
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32
+from engine.watermark.keys import CELLS, OwnerKey, keystream, uniform
 
 TILT = 0.35
 """How far the key tilts each cut away from the widest feature, standard deviation against 1 along it."""
@@ -19,15 +22,32 @@ JITTER = 0.3
 """Half width of the keyed factor on each chip's amplitude, as a logarithm."""
 
 
-def cells_key(key: OwnerKey, asset: bytes, copy: str) -> bytes:
-    """The sub-key of one copy's cells; `asset` is the digest of the canonical reference."""
-    return key.derive(CELLS, asset + copy.encode())
+OWNER, COPIES = "owner", "copies"
+"""Whose cells: those of the mark that all copies share, and those on which copies differ. Neither says where the
+other's borders are, so what two copies differ in draws no border of the owner's."""
+
+BLUR = 8
+"""Public cells nearest to a Gaussian's own, itself among them, to one of which it is dealt where borders are
+blurred."""
+
+
+def cells_key(key: OwnerKey, asset: bytes, use: str, width: int = 1) -> bytes:
+    """The sub-key of one set of cells; `asset` is the digest of the canonical reference, `width` how many times as wide
+    as the smallest they are."""
+    return key.derive(CELLS, asset + f"{use}/{width}".encode())
 
 
 def join_cells(
-    stage: Stage, features: Float64, model: GaussianModel, weights: Float64, count: int, subkey: bytes
+    stage: Stage,
+    features: Float64,
+    model: GaussianModel,
+    weights: Float64,
+    count: int,
+    subkey: bytes,
+    *,
+    blurred: bool = False,
 ) -> Stage:
-    """Code vectors of one copy, each of a few neighbouring public cells.
+    """Secret code vectors, each of a few neighbouring public cells.
 
     Parameters
     ----------
@@ -39,12 +59,32 @@ def join_cells(
         How much an error in each Gaussian's colour is seen.
     count : int
         Code vectors wanted; rounded down to a power of two, at most one for two cells.
+    blurred : bool
+        Whether each Gaussian is dealt to one of the BLUR public cells around it, so that no border can be seen in what
+        Gaussians beside each other are displaced by.
     """
     cells = len(stage.codebook)
     seen = np.bincount(stage.labels, weights, cells).astype(np.float64)
     joined = _tree(features, seen + 0.02 * float(seen.mean()) + 1e-300, min(count, cells // 2), subkey)
-    labels = joined[stage.labels]
-    return Stage(group_means(model.sh.reshape(len(model), -1), labels, weights, int(joined.max()) + 1), labels)
+    public = stage.labels
+    if blurred:
+        near = scipy.spatial.cKDTree(features).query(features, k=min(BLUR, cells), workers=2)[1].reshape(cells, -1)
+        dealt = keystream(subkey, len(public), "blur") % np.uint8(near.shape[1])
+        public = near[public, dealt]
+    labels = np.unique(joined[public], return_inverse=True)[1].astype(np.int32)
+    return Stage(group_means(model.sh.reshape(len(model), -1), labels, weights, int(labels.max()) + 1), labels)
+
+
+def multiples(subkey: bytes, still: Bool) -> Float32:
+    """(N,) how many times its code vectors' displacements each Gaussian takes: 0 for those that hold `still`, else
+    evenly from 0.5 to 1.5, over the root of their mean square; in steps that a record keeps in a byte."""
+    drawn = keystream(subkey, len(still), "multiples").astype(np.float32)
+    steps = np.where(still, np.float32(0.0), np.round(64.0 + drawn * np.float32(128.0 / 255.0)))
+    return np.asarray(steps * MULTIPLE, dtype=np.float32)
+
+
+MULTIPLE = np.float32(1.0 / (128.0 * np.sqrt(13.0 / 12.0)))
+"""Step in which a record keeps a Gaussian's multiple."""
 
 
 def jitter(subkey: bytes, chips: int) -> Float64:

@@ -1,30 +1,45 @@
 """What all copies of an asset share, made once: the model as delivered, its reference, cells, views and landmarks.
 
-A buyer's copy differs by its chips, its message and the cells that its key joins; all that takes long does not.
+A buyer's copy differs by its copy layer alone: message, cells and the owner's layer are the asset's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from engine.catalogue.entry import SeenPoints, see_points
+from engine.compress.hvq import Stage, group_means
 from engine.flows.embed.auto_profile import Choice
+from engine.flows.embed.copy_mark import COPY_MARGIN_DB, Committed, OwnerMark, make_owner_mark
 from engine.flows.embed.delivery import Delivery
 from engine.flows.embed.landmark_bank import bank_views, make_bank
-from engine.flows.embed.layer_strengths import Grained, settle_grain
+from engine.flows.embed.layer_strengths import Fidelity, Grained, settle, settle_grain
 from engine.flows.embed.planning_basis import Groundwork
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Clock
-from engine.flows.records.opened_record import landmarks_in
+from engine.flows.records.opened_record import DRAWN, landmarks_in
 from engine.flows.views.camera_rig import Extent
-from engine.model import GaussianModel
+from engine.model import Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.header import Arrays
 from engine.records.record import Record, this_version
+from engine.watermark.keys import OwnerKey
+from engine.watermark.masses import find_masses
+from engine.watermark.messages import derive_message
+from engine.watermark.planning import Plan, make_plan
+from engine.watermark.secret_cells import COPIES, OWNER, cells_key, jitter, join_cells, multiples
+from engine.watermark.unpredictability import unexplained
 
 __all__ = ["BANK", "Asset", "bank_of", "known_landmarks"]
+
+WIDER = 8
+"""By how much cells of the next width are wider."""
+LEAST_CELLS = 16
+"""Fewest of one width."""
 
 BANK = 2
 """How a bank is made, as records tell it beside the settings: one more whenever the same settings give another. Records
@@ -44,11 +59,74 @@ class Asset:
     digest: bytes  # of that
     landmarks: Landmarks | None
     seen: SeenPoints | None
+    key: OwnerKey = field(repr=False)
+    _marks: dict[bool, tuple[OwnerMark, Committed]] = field(default_factory=dict)
 
     @cached_property
     def grained(self) -> Grained:
-        """The second layer at its strength, which no chip decides."""
+        """The grain at its strength, which no chip decides."""
         return settle_grain(self.delivery.views, self.settings, self.terms.variant)
+
+    def owner_mark(self, *, copied: bool) -> tuple[OwnerMark, Committed]:
+        """What all copies share, where it leaves room for a copy layer or not; and what their records commit to."""
+        if copied not in self._marks:
+            self._marks[copied] = self._owner_mark(copied)
+        return self._marks[copied]
+
+    def _owner_mark(self, copied: bool) -> tuple[OwnerMark, Committed]:
+        terms, settings, ground, views = self.terms, self.settings, self.delivery.ground, self.delivery.views
+        settled = settle(views, self._plan(copied), settings, self.grained)
+        message = derive_message(self.key, terms.length, self.digest) if terms.message is None else terms.message
+        commitments = {**terms.variant.commitments, **({DRAWN: terms.drawn} if terms.drawn else {})}
+        committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments)
+        wanted = Fidelity(settings.psnr_db + (COPY_MARGIN_DB if copied else 0.0), settings.ssim)
+        at_view = terms.variant.at_view
+        made = make_owner_mark(views, settled, self.key, committed, wanted, ground.picture_scale, at_view)
+        return made, committed
+
+    def _plan(self, copied: bool) -> Plan:
+        """The tint at unit strength, on cells of several widths that the key joins; and where copies may differ,
+        one."""
+        variant, settings, config = self.terms.variant, self.settings, self.settings.plan
+        ground, delivered, stages = self.delivery.ground, self.delivery.model, self.delivery.stages
+        # A file's own codebook and the compact output keep few values on purpose: Gaussians move together there, and
+        # what many share is no sign of clipping.
+        own = variant.labels is not None or settings.paper.public_codes
+        free = not own and settings.output == "fidelity"
+        still = find_masses(delivered.sh[:, 0], config.mass_share) if free else None
+        secret = cells_key(self.key, self.digest, OWNER)
+        missed: Float64 | None = None
+        times: Float32 | None = None
+        if not own:
+            first = self._joined(OWNER, config.codes)
+            centers = group_means(delivered.means, first.labels, ground.colors).astype(np.float64)
+            missed = unexplained(centers, first.codebook[:, :3].astype(np.float64))
+            stages = (first, *stages[1:])
+        if still is not None:
+            times = multiples(secret, still)
+            wider = [config.codes // WIDER**n for n in range(1, config.wide_scales + 1)]
+            stages = (stages[0], *(self._joined(OWNER, count) for count in wider if count >= LEAST_CELLS))
+        shaken = None if settings.paper.public_codes else lambda chips: jitter(secret, chips)
+        emphasis = variant.emphasis_on(ground.impact)
+        whole = settings.paper.whole_sh
+        plan = make_plan(stages, ground.impact, config, emphasis, missed, shaken, times, whole=whole)
+        if not copied:
+            return plan
+        secret = cells_key(self.key, self.digest, COPIES)
+        beside = self._joined(COPIES, config.codes, blurred=still is not None) if not own else stages[0]
+        times = None if still is None else multiples(secret, still)
+        alone = replace(config, stages=1)
+        layer = make_plan(
+            (beside,), ground.impact, alone, emphasis, None, lambda chips: jitter(secret, chips), times, whole=whole
+        ).layout
+        return replace(plan, copies=replace(layer, directions=plan.layout.directions[:1]))
+
+    def _joined(self, use: str, count: int, *, blurred: bool = False) -> Stage:
+        ground, stage = self.delivery.ground, self.delivery.stages[0]
+        secret = cells_key(self.key, self.digest, use, self.settings.plan.codes // count)
+        return join_cells(
+            stage, ground.cell_features, self.delivery.model, ground.colors, count, secret, blurred=blurred
+        )
 
 
 def bank_of(

@@ -1,45 +1,75 @@
-"""One copy's mark: bits and chips drawn from the key for a settled plan, put into the model, and looked at."""
+"""One mark: bits and chips drawn from the key for a settled plan, put into the model, and looked at.
+
+1. The owner's layer, the same in all copies: where its own chips show more than the public ones did, the plan is made
+   weaker, which draws others.
+2. The layer of one copy, on top. Where it shows too much it is drawn anew, never made weaker: a strength of a copy's
+   own would give its values away to whoever compares copies.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
-from engine.flows.records.opened_record import OpenedRecord, PlanParts, draw_spreading, plan_of
+from engine.flows.records.opened_record import Drawn, OpenedRecord, PlanParts, draw_copy, draw_owner, plan_of
 from engine.flows.views.view_set import ViewSet
-from engine.model import Camera, Float64, GaussianModel
+from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
-from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs
 from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
-from engine.watermark.spreading import Spreading, signed_amplitudes, spread_grain
+from engine.watermark.spreading import ONE_BIT, public_values, signed_amplitudes, spread_grain
 
 DRAWS = 4
-"""Plans tried: weaker ones where a copy's own chips show more than the public ones did."""
-
-
-@dataclass(frozen=True, eq=False)
-class Copy:
-    """What tells one copy of an asset from another, before its chips."""
-
-    key: OwnerKey
-    asset: bytes  # digest of the canonical reference
-    name: str  # of the recipient
-    message: Signs
+"""Plans tried: weaker ones where the owner's own chips show more than the public ones did."""
+COPY_DRAWS = 6
+"""Draws of a copy's layer, of which the first that shows no more than was asked for is taken, else the least
+visible."""
+COPY_MARGIN_DB = 0.1
+"""By how much the owner's layer keeps more than was asked for, where copies' draws are to come on top of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Committed:
     """What the records of all copies commit to beside the plan."""
 
+    asset: bytes  # digest of the canonical reference
+    message: Signs
     cameras: Sequence[Camera]
     landmarks: Landmarks | None
     commitments: Mapping[str, str] = field(default_factory=dict)
+
+    def plan(self, model: GaussianModel, settled: Settled, draw: int = 0) -> PlanParts:
+        """The plan of one copy's draw."""
+        return plan_of(
+            settled.plan.layout,
+            settled.grain,
+            self.message,
+            self.cameras,
+            self.landmarks,
+            self.commitments,
+            antialiased=model.antialiased,
+            copies=settled.copies,
+            draw=draw,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class OwnerMark:
+    """The layer that all copies share, settled."""
+
+    settled: Settled
+    drawn: Drawn
+    signed: Float64  # (C,) displacement of each chip of the tint
+    tint: Float32  # (N, D) displacement of the colours
+    rough: Float64 | None  # (6 N,) displacement of centres and sizes, in their units; None without a grain
+    model: GaussianModel  # with this layer alone
+    fidelity: Fidelity  # worst view, against the unmarked model as delivered
+    capacity: int  # bits that a model carries
+    pictured: int  # and one picture of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,24 +78,20 @@ class Mark:
 
     model: GaussianModel
     plan: PlanParts
-    spreading: Spreading  # of the tint
-    signed: Float64  # (C,) displacement of each chip of the tint
-    settled: Settled
-    fidelity: Fidelity  # worst view, against the unmarked model as delivered
-    capacity: int  # bits that a model carries
-    pictured: int  # and one picture of it
+    copied: Float32 | float  # (N, D) displacement of the colours by the copy layer; 0 where there is none
+    fidelity: Fidelity
 
 
-def make_mark(
+def make_owner_mark(
     views: ViewSet,
     settled: Settled,
-    copy: Copy,
+    key: OwnerKey,
     committed: Committed,
     wanted: Fidelity,
     pixels: Float64,
     at_view: AtView | None,
-) -> Mark:
-    """Mark the model of these views.
+) -> OwnerMark:
+    """Mark the model of these views with what all of its copies share.
 
     CapacityError if the scene cannot carry the message. After DRAWS plans the last one stands, and its fidelity tells.
 
@@ -74,47 +100,98 @@ def make_mark(
     views : ViewSet
         Of the unmarked model as delivered.
     wanted : Fidelity
-        Of the worst view. Where the key's chips miss it, the plan is made weaker, which draws others.
+        Of the worst view, with a copy layer of public values where there is one.
     pixels : (V, 1) float64
         By how much more a picture of REFERENCE_PIXELS shows than each view does.
     """
-    bits = len(copy.message)
+    bits, model = len(committed.message), views.model
     for left in reversed(range(DRAWS)):
-        plan, grain = settled.plan, settled.grain
+        plan, grain, copies = settled.plan, settled.grain, settled.copies
         pictured = capacity_bits(plan.energies * pixels, plan.layout.chips)
-        capacity = max(pictured, grain_capacity(len(views.model)) if grain.there else 0)
+        capacity = max(pictured, grain_capacity(len(model)) if grain.there else 0)
         check_capacity(bits, capacity)
-        promised = plan_of(
-            plan.layout,
-            grain,
-            copy.message,
-            committed.cameras,
-            committed.landmarks,
-            committed.commitments,
-            antialiased=views.model.antialiased,
-        )
-        tint, grain_key = draw_spreading(copy.key, copy.asset, copy.name, plan.layout, promised)
-        signed = signed_amplitudes(plan.layout.amplitudes, tint, copy.message)
-        rough = spread_grain(grain_key, len(views.model), bits).signs(copy.message) if grain.there else None
-        model = displaced(views.model, plan.layout, signed, grain, rough)
-        fidelity = measure(views, model, at_view)
+        drawn = draw_owner(key, committed.asset, plan.layout, committed.plan(model, settled))
+        signed = signed_amplitudes(plan.layout.amplitudes, drawn.tint, committed.message)
+        rough = None
+        if grain.there:
+            chips = spread_grain(drawn.grain_key, len(model), bits, sized=True)
+            rough = grain.displacements(chips.values(committed.message))
+        tint = plan.layout.displace(signed)
+        marked = displaced(model, tint, rough)
+        seen = marked
+        if copies is not None:  # as a copy will be, but for values that are not its own
+            usual = copies.layout.displace(copies.layout.amplitudes * public_values(copies.layout.chips))
+            own = copies.grain.displacements(public_values(copies.grain.chips(len(model))))
+            seen = displaced(model, tint + usual, _sum(rough, own if copies.grain.there else None))
+        fidelity = measure(views, seen, at_view)
         if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
         settled = settled.lowered(fidelity, wanted)
-    return Mark(model, promised, tint, signed, settled, fidelity, capacity, pictured)
+    return OwnerMark(settled, drawn, signed, tint, rough, marked, fidelity, capacity, pictured)
+
+
+def make_mark(
+    views: ViewSet,
+    owner: OwnerMark,
+    key: OwnerKey,
+    copy: str,
+    committed: Committed,
+    wanted: Fidelity,
+    at_view: AtView | None,
+) -> Mark:
+    """One recipient's copy; where there is no copy layer, the owner's mark by itself."""
+    settled, model = owner.settled, views.model
+    copies = settled.copies
+    if copies is None:
+        return Mark(owner.model, committed.plan(model, settled), 0.0, owner.fidelity)
+    best: Mark | None = None
+    for draw in range(COPY_DRAWS):
+        plan = committed.plan(model, settled, draw)
+        chips = copies.spreading(draw_copy(key, committed.asset, copy, plan), None, len(model))
+        values = chips.values(ONE_BIT)
+        tint, grain = values[: copies.layout.chips], values[copies.layout.chips :]
+        copied = copies.layout.displace(copies.layout.amplitudes * tint)
+        rough = copies.grain.displacements(grain) if copies.grain.there else None
+        marked = displaced(model, owner.tint + copied, _sum(owner.rough, rough))
+        made = Mark(marked, plan, copied, measure(views, marked, at_view))
+        if best is None or made.fidelity.room_to(wanted) > best.fidelity.room_to(wanted):
+            best = made
+        if made.fidelity.meets(wanted) or not np.isfinite(made.fidelity.psnr_db):
+            break
+    assert best is not None
+    return best
 
 
 def mark_again(opened: OpenedRecord) -> GaussianModel:
     """A record's marked model, drawn again: what was delivered but for the rounding of its file's format."""
+    tint, rough = owner_displacements(opened)
+    if opened.copies is not None:
+        copies = opened.copies
+        values = opened.copy_spreading().values(ONE_BIT)
+        tint = tint + copies.layout.displace(copies.layout.amplitudes * values[: copies.layout.chips])
+        if copies.grain.there:
+            rough = _sum(rough, copies.grain.displacements(values[copies.layout.chips :]))
+    return displaced(opened.reference, tint, rough)
+
+
+def owner_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:
+    """(N, D) what the layer that carries the claim displaces colours by, and (6 N,) centres and sizes, in their
+    units."""
     layout, grain, chips = opened.layout, opened.grain, opened.layout.chips
-    signs = opened.spreading_of(chips + grain.chips(len(opened.reference))).signs(opened.message)
-    signed = opened.strength * layout.amplitudes * signs[:chips]
-    return displaced(opened.reference, layout, signed, grain, signs[chips:] if grain.there else None)
+    values = opened.spreading_of(chips + grain.chips(len(opened.reference))).values(opened.message)
+    tint = layout.displace(opened.strength * layout.amplitudes * values[:chips])
+    return tint, grain.displacements(values[chips:]) if grain.there else None
 
 
-def displaced(
-    model: GaussianModel, layout: Layout, signed: Float64, grain: Grain, rough: npt.NDArray[np.int8] | Float64 | None
-) -> GaussianModel:
-    """The model with its tint displaced by `signed` (C,) and, where it has a grain, roughened by signs (6 N,)."""
-    model = model.with_(sh=add_dc(model.sh, layout.displace(signed)))
-    return model if rough is None else roughen(model, grain, rough.astype(np.float32).reshape(-1, ATTRIBUTES))
+def displaced(model: GaussianModel, tint: Float32, rough: Float64 | None) -> GaussianModel:
+    """The model with its colours displaced by (N, D) and, where it has a grain, its centres and sizes by (6 N,)."""
+    model = model.with_(sh=add_dc(model.sh, tint))
+    return model if rough is None else roughen(model, ONE_GRAIN, rough.astype(np.float32).reshape(-1, ATTRIBUTES))
+
+
+def _sum(one: Float64 | None, other: Float64 | None) -> Float64 | None:
+    return other if one is None else one if other is None else one + other
+
+
+ONE_GRAIN = Grain(1.0, 1.0)
+"""In whose amplitudes displacements are given in their own units."""

@@ -13,36 +13,29 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Unpack
 
-import numpy as np
-
 from engine.catalogue.entry import SeenPoints
-from engine.compress.hvq import group_means
 from engine.errors import InputError
 from engine.extras import load_extra
 from engine.flows.embed.asset import BANK, Asset, bank_of, known_landmarks
 from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
-from engine.flows.embed.copy_mark import Committed, Copy, make_mark
+from engine.flows.embed.copy_mark import make_mark
 from engine.flows.embed.delivery import Pruned, deliver
-from engine.flows.embed.layer_strengths import Fidelity, settle
+from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
-from engine.flows.records.opened_record import DRAWN
 from engine.flows.views.view_set import worst_psnr_against
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
 from engine.records.record import Record
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
-from engine.watermark.masses import spare_masses
-from engine.watermark.messages import derive_message, message_hex
-from engine.watermark.planning import Plan, make_plan, predict_z
-from engine.watermark.secret_cells import cells_key, jitter, join_cells
-from engine.watermark.unpredictability import unexplained
+from engine.watermark.messages import message_hex
+from engine.watermark.planning import predict_z
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +168,7 @@ def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock
         digest=digest,
         landmarks=landmarks,
         seen=seen,
+        key=key,
     )
 
 
@@ -183,28 +177,18 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
     """The recipient's own part."""
     terms, settings, variant = asset.terms, asset.settings, asset.terms.variant
     delivery, ground, views = asset.delivery, asset.delivery.ground, asset.delivery.views
-    bits = terms.length
+    bits, wanted = terms.length, Fidelity(settings.psnr_db, settings.ssim)
     with clock.stage("plan"):  # 5, 6
-        settled = settle(views, _plan(asset, cells_key(key, asset.digest, copy)), settings, asset.grained)
+        owner, committed = asset.owner_mark(copied=bool(copy))
+    plan = owner.settled.plan
     with clock.stage("mark"):
-        sign = terms.message if terms.message is not None else derive_message(key, bits, asset.digest + copy.encode())
-        drawn = {DRAWN: terms.drawn} if terms.drawn else {}
-        mark = make_mark(
-            views,
-            settled,
-            Copy(key, asset.digest, copy, sign),
-            Committed(ground.cameras, asset.landmarks, {**variant.commitments, **drawn}),
-            Fidelity(settings.psnr_db, settings.ssim),
-            ground.picture_scale,
-            variant.at_view,
-        )
-        plan = mark.settled.plan
+        mark = make_mark(views, owner, key, copy, committed, wanted, variant.at_view)
     marked, fidelity = mark.model, mark.fidelity
     if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
             from engine.flows.embed.refinement import refine_mark  # torch is only needed here
 
-            marked, fidelity = refine_mark(asset, mark, bits, clock.advance)
+            marked, fidelity = refine_mark(asset, owner, mark, bits, clock.advance)
     with clock.stage("record"):  # 8
         record = Record.make(
             key,
@@ -219,46 +203,25 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         total = fidelity.psnr_db
         if delivery.model is not asset.original.model:
             total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
-    predicted = predict_z(plan.energies * ground.picture_scale, mark.spreading.bit_of, bits)
+    predicted = predict_z(plan.energies * ground.picture_scale, owner.drawn.tint.bit_of, bits)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
         gaussians_out=len(marked),
         bits=bits,
-        message=message_hex(sign),
+        message=message_hex(committed.message),
         copy=copy,
         record_id=record.header.record_id,
         psnr_worst_view=fidelity.psnr_db,
         ssim_worst_view=fidelity.ssim,
         psnr_total_worst_view=total,
         predicted_z_per_bit=float(predicted.min(axis=1).mean()),
-        capacity_bits=mark.capacity,
-        picture_bits=mark.pictured,
+        capacity_bits=owner.capacity,
+        picture_bits=owner.pictured,
         chips=plan.layout.chips,
-        grain=mark.settled.grain,
+        grain=owner.settled.grain,
         choice=None if asset.choice is None else asset.choice.report(),
         pruned=delivery.pruned,
         seconds=clock.total,
         seconds_by_stage=clock.seconds,
     )
     return Embedding(marked, record, settings, report, asset.seen)
-
-
-def _plan(asset: Asset, secret: bytes) -> Plan:
-    """The tint at unit strength, on cells that the copy's secret joins."""
-    variant, settings = asset.terms.variant, asset.settings
-    stages, ground, delivered = asset.delivery.stages, asset.delivery.ground, asset.delivery.model
-    missed = None
-    own = variant.labels is not None or settings.paper.public_codes
-    if not own:
-        joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
-        stages = (joined, *stages[1:])
-        centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
-        missed = unexplained(centers, joined.codebook[:, :3].astype(np.float64))
-    emphasis: Float32 | Float64 | None = variant.emphasis_on(ground.impact)
-    # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
-    if variant.labels is None and settings.output == "fidelity":
-        stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
-        if missed is not None and len(stages[0].codebook) > len(missed):
-            missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
-    shaken = None if settings.paper.public_codes else lambda chips: jitter(secret, chips)
-    return make_plan(stages, ground.impact, settings.plan, emphasis, missed, shaken, whole=settings.paper.whole_sh)

@@ -1,14 +1,16 @@
 """How strong each layer of the mark is, settled before a chip is drawn (DESIGN 4.5, 4.9).
 
 One budget of fidelity holds both layers. The grain takes what it needs up to a fixed part of it, the tint the rest:
-errors of independent signs add in squares, so each is measured alone. Signs are public ones; those of the key show as
-much within a few tenths of a decibel, and where they show more, strengths are lowered and chips drawn anew.
+errors of independent signs add in squares, so each is measured alone. Of each a part is the copy layer's, where there
+is one: half of the grain's squared error, a quarter of the tint's, which pictures need for the owner's claim. Signs
+are public ones; those of the key show as much within a few tenths of a decibel, and where they show more, strengths
+are lowered and chips drawn anew.
 """
 
 import math
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,9 +21,10 @@ from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
+from engine.watermark.copy_layer import CopyLayer
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
-from engine.watermark.planning import Plan
-from engine.watermark.spreading import public_signs
+from engine.watermark.planning import Plan, scaled
+from engine.watermark.spreading import public_signs, public_values
 
 ROUNDS = 10
 """Most renders of all views."""
@@ -147,6 +150,9 @@ MARGIN_DB = 0.05
 """Aimed at above the target, for chips that meet less luckily than the public ones."""
 
 
+NO_GRAIN = Grain()
+
+
 @dataclass(frozen=True)
 class Grained:
     """A grain, and what the worst view shows of it alone."""
@@ -160,13 +166,19 @@ class Settled:
     """Both layers at the strength at which they are embedded."""
 
     plan: Plan
-    grain: Grain
+    grain: Grain  # the owner's
     tint: Fidelity  # what the tint alone keeps
+    copy_grain: Grain = NO_GRAIN  # that of a copy layer
+
+    @property
+    def copies(self) -> CopyLayer | None:
+        """What tells copies apart, where anything does."""
+        return None if self.plan.copies is None else CopyLayer(self.plan.copies, self.copy_grain)
 
     def lowered(self, found: Fidelity, wanted: Fidelity) -> "Settled":
         """Weaker by as much as the worst view misses, and a hair more."""
         factor = 0.997 * min(found.room_to(wanted), 1.0)
-        return Settled(self.plan.times(factor), self.grain.times(factor), self.tint)
+        return Settled(self.plan.times(factor), self.grain.times(factor), self.tint, self.copy_grain.times(factor))
 
 
 def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) -> Settled:
@@ -186,8 +198,28 @@ def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) ->
     left = Fidelity(-10.0 * float(np.log10(error)), wanted.ssim + (1.0 - spent.ssim))
     displacement = plan.layout.displace(plan.layout.amplitudes * public_signs(plan.layout.chips))
     guess = first_guess(plan.energies, views.cameras, left.psnr_db)
+    grain, own = grained.grain, NO_GRAIN
+    if plan.copies is not None:
+        plan, beside = _with_copies(views, plan, displacement, config.plan.copy_tint, guess)
+        displacement = displacement + beside
+        grain, own = (grain.times(math.sqrt(part)) for part in (1.0 - config.plan.copy_grain, config.plan.copy_grain))
     strength = solve_strength(views, displacement, left.psnr_db, left.ssim, guess)
-    return Settled(plan.times(strength.factor), grained.grain, left)
+    return Settled(plan.times(strength.factor), grain, left, own)
+
+
+def _with_copies(views: ViewSet, plan: Plan, owner: Float32, share: float, factor: float) -> tuple[Plan, Float32]:
+    """The plan whose copy layer has this share of the tint's squared error, as views show it near the strength to come;
+    and (N, D) what such a layer of public values displaces colours by."""
+    assert plan.copies is not None
+    layout = plan.copies
+    usual = layout.displace(layout.amplitudes * public_values(layout.chips))
+    errors = [0.0, 0.0]
+    for number, displacement in enumerate((owner, usual)):
+        sh = add_dc(views.model.sh, np.float32(factor) * displacement)
+        for k, image in enumerate(views.images):
+            errors[number] += float(np.square(views.render(k, sh) - image, dtype=np.float64).sum())
+    times = math.sqrt(share / (1.0 - share) * errors[0] / errors[1]) if errors[1] > 0 else 1.0
+    return replace(plan, copies=scaled(layout, times)), np.float32(times) * usual
 
 
 def _aim(config: EmbedConfig) -> Fidelity:
@@ -202,7 +234,7 @@ def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN) 
     wanted, model, at_view = _aim(config), views.model, variant.at_view
     grain = Grain(config.plan.grain_center * variant.free_centers, config.plan.grain_scale * variant.free_sizes)
     if not grain.there:
-        return Grained(Grain(), Fidelity(np.inf, 1.0))
+        return Grained(NO_GRAIN, Fidelity(np.inf, 1.0))
     signs = public_signs(ATTRIBUTES * len(model)).astype(np.float32).reshape(-1, ATTRIBUTES)
     allowed = Fidelity(wanted.psnr_db + GRAIN_ROOM_DB, 1.0 - GRAIN_SSIM_SHARE * (1.0 - wanted.ssim))
     factor, growth = 1.0, 1.0

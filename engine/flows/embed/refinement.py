@@ -20,7 +20,7 @@ from torch import Tensor
 
 from engine.compress.impact import uncertainty
 from engine.flows.embed.asset import Asset
-from engine.flows.embed.copy_mark import Mark
+from engine.flows.embed.copy_mark import Mark, OwnerMark
 from engine.flows.embed.distortions import draw
 from engine.flows.embed.layer_strengths import Fidelity, add_dc, measure, solve_strength
 from engine.flows.embed.profiles import RefineConfig
@@ -230,10 +230,10 @@ def _soft_bits(pulled: Tensor, pattern: Tensor, groups: list[Tensor], bits: int)
 
 
 def refine_mark(
-    asset: Asset, mark: Mark, bits: int, advance: Callable[[float], None]
+    asset: Asset, owner: OwnerMark, mark: Mark, bits: int, advance: Callable[[float], None]
 ) -> tuple[GaussianModel, Fidelity]:
-    """The marked model with its tint refined and its strength solved again, and what its worst view shows."""
-    plan, delivered, kept = mark.settled.plan, asset.delivery.model, mark.settled.tint
+    """The marked model with the owner's tint refined and its strength solved again, and what its worst view shows."""
+    plan, delivered, kept = owner.settled.plan, asset.delivery.model, owner.settled.tint
     ground, views = asset.delivery.ground, asset.delivery.views
     codes, weight = None, asset.settings.paper.codes
     if weight > 0:
@@ -242,7 +242,7 @@ def refine_mark(
         codes = Codes(np.ascontiguousarray(left), weight, asset.settings.quantize.lambda_freq)
     displacement = refine(
         delivered,
-        Tint(plan.layout.displace(mark.signed), plan.layout, mark.signed, mark.spreading.bit_of, bits),
+        Tint(owner.tint, plan.layout, owner.signed, owner.drawn.tint.bit_of, bits),
         list(ground.cameras),
         uncertainty(ground.impact.squared),
         asset.settings.refine,
@@ -250,5 +250,5 @@ def refine_mark(
         codes=codes,
     )
     again = solve_strength(views, displacement, kept.psnr_db, kept.ssim, 1.0)
-    marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))
+    marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement + mark.copied))
     return marked, measure(views, marked)

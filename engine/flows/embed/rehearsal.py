@@ -25,7 +25,7 @@ from engine.model import Camera, Float32
 from engine.numerics.image_metrics import psnr
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.layout import Layout
-from engine.watermark.masses import spare_masses
+from engine.watermark.masses import find_masses
 from engine.watermark.planning import make_plan
 from engine.watermark.statistics import claim_z
 
@@ -64,10 +64,10 @@ class Rehearsing:
         rng = np.random.default_rng(REHEARSAL_SEED)
         self._unseen = look(model, self._unseen_cameras(cameras, rng), lambda fraction: None)
         self._telling = list(range(len(self._unseen.views)))  # which of them are read
-        stages, emphasis = delivery.stages, None
+        moving = None
         if config.output == "fidelity":
-            stages, emphasis = spare_masses(model.sh[:, 0], stages, config.plan.mass_share)
-        self._plan = make_plan(stages, ground.impact, config.plan, emphasis)
+            moving = (~find_masses(model.sh[:, 0], config.plan.mass_share)).astype(np.float32)
+        self._plan = make_plan(delivery.stages, ground.impact, config.plan, multiples=moving)
         layout = self._plan.layout
         self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
         self._displacement = layout.displace(layout.amplitudes * self._signs)

@@ -5,8 +5,8 @@ chips: a field that nobody reads would be a free number to try records out with.
 refused, and of those that it knows, type, shape, range and finiteness are checked. A new field is a new row.
 
 Sizes in shapes: N Gaussians of the reference, M_s code vectors of stage s, R carriers in D numbers of a colour (3 of
-DC, or all that the reference has), C = R * sum M_s chips, V key views, L landmarks. A size that no earlier row fixed is
-taken from the array, within its limits.
+DC, or all that the reference has), C = R * sum M_s chips, P chips of the copy layer's tint, V key views, L landmarks.
+A size that no earlier row fixed is taken from the array, within its limits.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,6 +40,10 @@ PLAN_ARRAYS: Mapping[str, ArrayRule] = {
     "labels": ArrayRule(("<u2", "<i4"), ("N",), 0, 2**31, each_stage=True),
     "directions": ArrayRule(("<f8",), ("R", "D"), -1.001, 1.001, each_stage=True),
     "amplitudes": ArrayRule(("<f4",), ("C",), 0.0, 1e3),
+    "multiples": ArrayRule(("|u1",), ("N",), 0, 192, group="multiples"),
+    "copies/labels": ArrayRule(("<u2", "<i4"), ("N",), 0, 2**31, group="copies"),
+    "copies/amplitudes": ArrayRule(("<f4",), ("P",), 0.0, 1e3, group="copies"),
+    "copies/multiples": ArrayRule(("|u1",), ("N",), 0, 192, group="copies/multiples"),
     "cameras/viewmats": ArrayRule(("<f8",), ("V", 4, 4), -1e12, 1e12),
     "cameras/intrinsics": ArrayRule(("<f8",), ("V", 3, 3), -1e7, 1e7),
     "cameras/sizes": ArrayRule(("<i4",), ("V", 2), 1, 1 << 14),
@@ -49,9 +53,11 @@ PLAN_ARRAYS: Mapping[str, ArrayRule] = {
 }
 """Arrays of the plan."""
 
-SIZES: Mapping[str, tuple[int, int]] = {"R": (1, 3), "D": (3, 48), "V": (1, 4096), "L": (0, 1 << 22)}
+SIZES: Mapping[str, tuple[int, int]] = {"R": (1, 3), "D": (3, 48), "V": (1, 4096), "L": (0, 1 << 22), "P": (1, 1 << 24)}
 """Limits of sizes that follow from an array itself."""
 MOST_STAGES, MOST_CHIPS = 16, 1 << 24
+MOST_DRAWS = 256
+"""Times that a copy's layer is drawn."""
 MOST_NAME = 400
 """Characters of a copy's name, and of a commitment."""
 
@@ -78,6 +84,15 @@ def _is_grain(value: Any) -> bool:
     return all(type(step) is float and 0.0 <= step <= 1.0 for step in value.values()) and any(value.values())
 
 
+def _is_copies(value: Any) -> bool:
+    """What the copy layer holds beside its arrays: number of code vectors, the grain, and which draw it is."""
+    if not isinstance(value, dict) or not {"codes", "draw"} <= set(value) <= {"codes", "draw", "grain"}:
+        return False
+    whole = type(value["codes"]) is int and 1 <= value["codes"] <= MOST_CHIPS
+    drawn = type(value["draw"]) is int and 0 <= value["draw"] < MOST_DRAWS
+    return whole and drawn and ("grain" not in value or _is_grain(value["grain"]))
+
+
 def _is_texts(value: Any) -> bool:
     return isinstance(value, dict) and 1 <= len(value) <= 16 and all(map(_is_text, (*value, *value.values())))
 
@@ -99,6 +114,7 @@ PLAN: Mapping[str, Rule] = {
     "message": Rule(_is_message, "16 to 256 bits in lower-case hexadecimal digits"),
     "codes": Rule(_is_codes, f"1 to {MOST_STAGES} numbers of code vectors"),
     "grain": Rule(_is_grain, "two amplitudes from 0 to 1, not both 0", required=False),
+    "copies": Rule(_is_copies, "code vectors, draw and grain of a copy layer", required=False),
     "commitments": Rule(_is_texts, "short texts by name", required=False),
     "antialiased": Rule(lambda value: value is True, "true, or not there", required=False),
 }
@@ -125,7 +141,7 @@ def admit(
     Parameters
     ----------
     version : int
-        Of the record's format: the first has a strength, the second may have a grain.
+        Of the record's format: the first has a strength, the second may have a grain, the third a copy layer.
     copy : str
         Name of the recipient.
     plan, extra : mapping
@@ -139,8 +155,11 @@ def admit(
         raise MalformedRecordError("the record's copy has no usable name")
     _admit_values(plan, PLAN, "plan")
     _admit_values(extra, EXTRA, "settings")
-    if ("strength" in extra) != (version == 1) or ("grain" in plan and version == 1):
+    later = "copies" in plan or "multiples" in arrays
+    if ("strength" in extra) != (version == 1) or ("grain" in plan and version == 1) or (later and version < 3):
         raise MalformedRecordError(f"the record's fields are not those of format {version}")
+    if ("copies" in plan) != ("copies/labels" in arrays) or ("copies/multiples" in arrays and "copies" not in plan):
+        raise MalformedRecordError("the record's copy layer is not whole")
     codes = plan["codes"]
     _admit_arrays(arrays, len(codes), {"N": gaussians})
     chips = sum(codes) * len(arrays["directions/0"])
@@ -152,6 +171,10 @@ def admit(
         if int(arrays[f"labels/{stage}"].max()) >= count:
             raise MalformedRecordError(f"labels of stage {stage} lie outside its {count} code vectors")
         _admit_directions(arrays[f"directions/{stage}"], stage)
+    if "copies" in plan:
+        count, carriers = plan["copies"]["codes"], len(arrays["directions/0"])
+        if int(arrays["copies/labels"].max()) >= count or len(arrays["copies/amplitudes"]) != count * carriers:
+            raise MalformedRecordError(f"the record's copy layer does not have {count} code vectors")
     _admit_cameras(arrays["cameras/viewmats"], arrays["cameras/intrinsics"])
 
 

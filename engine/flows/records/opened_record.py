@@ -6,6 +6,10 @@ record's *plan*; the record id, and so the chips, follow from its digest. Only t
 Amplitudes are those embedded: their strength was settled before the chips were drawn. Records of the first version
 have no grain, planned amplitudes of unit strength, and beside the plan the strength, which followed from the chips:
 it is used to say what a mark would have shown, never to read one.
+
+From format 3 on a mark has two layers by purpose. The chips of the *owner's* follow from key, reference and a plan that
+all copies share, so no difference of copies shows them; the *copy's* follow from the record id, as all chips did
+before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,15 +21,17 @@ import numpy.typing as npt
 
 from engine.errors import InputError, MalformedRecordError
 from engine.flows.records.admission import admit
-from engine.model import Bool, Camera, GaussianModel
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int32
 from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
+from engine.watermark.copy_layer import CopyLayer
 from engine.watermark.grain import ATTRIBUTES, Grain
-from engine.watermark.keys import OwnerKey
+from engine.watermark.keys import COPY, OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
 from engine.watermark.rates import Attested
+from engine.watermark.secret_cells import MULTIPLE
 from engine.watermark.spreading import Spreading, grain_key, spread, spread_grain
 
 FIRST_STRENGTH = 2.4
@@ -58,6 +64,10 @@ class OpenedRecord:
     settings: Json  # profile and configuration of the embedding
     # Digests of what verification relies on beside the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
+    # What tells this copy from others of the asset, and the secret from which its chips are drawn; None where there is
+    # no such layer: of a model marked for nobody, and before format 3, when each copy had a mark of its own
+    copies: CopyLayer | None = None
+    copy_key: bytes = field(default=b"", repr=False)
     kept: Bool | None = None  # (M,) which Gaussians of the committed reference this one still has, where not all
     attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
 
@@ -65,15 +75,25 @@ class OpenedRecord:
         """Bits and chips of evidence on so many chips: of the tint alone, or of both layers."""
         if chips == len(self.spreading.chips):
             return self.spreading
-        gaussians = len(self.reference) if self.kept is None else len(self.kept)
-        grain = spread_grain(self.grain_key, gaussians, len(self.message))
+        sized = self.spreading.sizes is not None
+        grain = spread_grain(self.grain_key, self._committed, len(self.message), sized=sized)
         if self.kept is not None:
-            rows = np.repeat(self.kept, ATTRIBUTES)
-            grain = Spreading(grain.bit_of[rows], grain.chips[rows])
+            grain = grain.of(np.repeat(self.kept, ATTRIBUTES))
         both = self.spreading.then(grain)
         if chips != len(both.chips):
             raise ValueError(f"evidence on {chips} chips, where {len(self.spreading.chips)} or {len(both.chips)} are")
         return both
+
+    @property
+    def _committed(self) -> int:
+        """Gaussians of the reference that the record committed to."""
+        return len(self.reference) if self.kept is None else len(self.kept)
+
+    def copy_spreading(self) -> Spreading:
+        """The chips of the copy layer. ValueError where there is none."""
+        if self.copies is None:
+            raise ValueError("this record has no copy layer")
+        return self.copies.spreading(self.copy_key, self.kept, self._committed)
 
 
 def plan_of(
@@ -85,19 +105,34 @@ def plan_of(
     commitments: Mapping[str, str] | None = None,
     *,
     antialiased: bool = False,
+    copies: CopyLayer | None = None,
+    draw: int = 0,
 ) -> PlanParts:
-    """What a record commits to before any chip is drawn: JSON values and arrays."""
+    """What a record commits to before any chip is drawn: JSON values and arrays.
+
+    All of it but `draw`, which of a copy's draws it is, is the same for all copies of an asset.
+    """
     plan: Json = {"message": message_hex(message), "codes": list(layout.codes)}
     if grain.there:
         plan["grain"] = asdict(grain)
+    if copies is not None:
+        own = {"grain": asdict(copies.grain)} if copies.grain.there else {}
+        plan["copies"] = {"codes": copies.layout.codes[0], "draw": draw, **own}
     if commitments:
         plan["commitments"] = dict(commitments)
     if antialiased:  # how the reference is drawn
         plan["antialiased"] = True
     arrays: Arrays = {"amplitudes": layout.amplitudes.astype(np.float32)}
     for number, (labels, directions) in enumerate(zip(layout.labels, layout.directions, strict=True)):
-        arrays[f"labels/{number}"] = labels.astype(np.uint16 if layout.codes[number] <= 65536 else np.int32)
+        arrays[f"labels/{number}"] = _kept_labels(labels, layout.codes[number])
         arrays[f"directions/{number}"] = directions
+    if layout.multiples is not None:
+        arrays["multiples"] = _kept_multiples(layout.multiples)
+    if copies is not None:
+        arrays["copies/labels"] = _kept_labels(copies.layout.labels[0], copies.layout.codes[0])
+        arrays["copies/amplitudes"] = copies.layout.amplitudes.astype(np.float32)
+        if copies.layout.multiples is not None:
+            arrays["copies/multiples"] = _kept_multiples(copies.layout.multiples)
     arrays["cameras/viewmats"] = np.stack([c.viewmat for c in cameras])
     arrays["cameras/intrinsics"] = np.stack([c.K for c in cameras])
     arrays["cameras/sizes"] = np.array([(c.width, c.height) for c in cameras], dtype=np.int32)
@@ -108,14 +143,38 @@ def plan_of(
     return plan, arrays
 
 
-def draw_spreading(
-    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: PlanParts
-) -> tuple[Spreading, bytes]:
-    """Bits and chips of one copy, from the owner's key and everything that enters the decision; and its grain's key."""
-    record_id = make_record_id(key, reference_digest, copy, *plan)
-    context = chip_context(reference_digest, record_id)
-    tint = spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
-    return tint, grain_key(key, context)
+def _kept_labels(labels: Int32, codes: int) -> npt.NDArray[Any]:
+    return labels.astype(np.uint16 if codes <= 65536 else np.int32)
+
+
+def _kept_multiples(multiples: Float32) -> npt.NDArray[np.uint8]:
+    return np.round(multiples / MULTIPLE).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """The secrets of one copy, drawn from the owner's key and everything that enters the decision."""
+
+    tint: Spreading  # bits and chips of the owner's tint
+    grain_key: bytes = field(repr=False)  # of the owner's grain
+    copy_key: bytes = field(repr=False)  # of the copy layer
+
+
+def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: PlanParts) -> Drawn:
+    """What all copies with this plan have in common; `draw_copy` draws the rest."""
+    shared = dict(plan[0])
+    if "copies" in shared:
+        shared["copies"] = {**shared["copies"], "draw": 0}
+    asset_id = make_record_id(key, reference_digest, "", shared, plan[1])
+    context = chip_context(reference_digest, asset_id)
+    bits = 4 * len(shared["message"])
+    tint = spread(key, context, layout.codes, len(layout.directions[0]), bits, sized=True)
+    return Drawn(tint, grain_key(key, context), b"")
+
+
+def draw_copy(key: OwnerKey, reference_digest: bytes, copy: str, plan: PlanParts) -> bytes:
+    """The sub-key of one copy's layer."""
+    return key.derive(COPY, chip_context(reference_digest, make_record_id(key, reference_digest, copy, *plan)))
 
 
 def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) -> OpenedRecord:
@@ -143,8 +202,18 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
     layout = Layout(labels, codes, directions, arrays["amplitudes"].astype(np.float64))
     message = message_signs(record.plan["message"])
     context = record.header.chip_context()
-    spreading = spread(key, context, codes, len(directions[0]), len(message))
-    strength = 1.0
+    strength, copies = 1.0, None
+    if version < 3:
+        spreading = spread(key, context, codes, len(directions[0]), len(message))
+        drawn = Drawn(spreading, grain_key(key, context), b"")
+    else:
+        if "multiples" in arrays:
+            layout = replace(layout, multiples=arrays["multiples"] * MULTIPLE)
+        parts = dict(record.plan), dict(arrays)
+        drawn = draw_owner(key, bytes.fromhex(record.header.reference_digest), layout, parts)
+        if "copies" in record.plan:
+            copies = _copy_layer(record.plan["copies"], arrays, directions[0])
+            drawn = replace(drawn, copy_key=key.derive(COPY, context))
     if version == 1:
         strength = float(record.extra["strength"]) / FIRST_STRENGTH
         layout = replace(layout, amplitudes=FIRST_STRENGTH * layout.amplitudes)
@@ -162,13 +231,23 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
         Grain(**record.plan.get("grain", {})),
         strength,
         message,
-        spreading,
-        grain_key(key, context),
+        drawn.tint,
+        drawn.grain_key,
         cameras,
         landmarks_in(arrays),
         dict(record.extra["settings"]),
         dict(record.plan.get("commitments", {})),
+        copies,
+        drawn.copy_key,
     )
+
+
+def _copy_layer(plan: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]], directions: Float64) -> CopyLayer:
+    labels = np.ascontiguousarray(arrays["copies/labels"], dtype=np.int32)
+    multiples = arrays["copies/multiples"] * MULTIPLE if "copies/multiples" in arrays else None
+    amplitudes = arrays["copies/amplitudes"].astype(np.float64)
+    layout = Layout((labels,), (int(plan["codes"]),), (directions,), amplitudes, multiples)
+    return CopyLayer(layout, Grain(**plan.get("grain", {})))
 
 
 def landmarks_in(arrays: Mapping[str, npt.NDArray[Any]]) -> Landmarks | None:

@@ -71,7 +71,7 @@ class Outcome(Generic[C]):
         if not self.whole:
             return (0.5,)
         if self.marked:
-            return (4.0, -claim.log10_false_claim)
+            return (4.0, claim.copy_z or 0.0, -claim.log10_false_claim)
         if claim.would_be_claim_if_attested:
             return (3.0, -claim.log10_false_claim)
         if claim.derivation.derived:
@@ -152,7 +152,7 @@ class _Asked:
     def _together(self, copies: Sequence[C]) -> list[Outcome[C]]:
         """Read along one route after the other until a mark is there; records are opened anew for each."""
         outcomes: list[Outcome[C]] = []
-        placed: dict[tuple[str, bool], tuple[Copies, Answer]] = {}
+        placed: dict[tuple[str, bool, bytes], tuple[Copies, Answer]] = {}
         unsettled = list(range(len(copies)))
         for route in range(len(self._suspect.routes(self._config.route))):
             going_on = []
@@ -172,7 +172,7 @@ class _Asked:
         return outcomes
 
     def _along(
-        self, route: int, candidate: C, placed: dict[tuple[str, bool], tuple[Copies, Answer]]
+        self, route: int, candidate: C, placed: dict[tuple[str, bool, bytes], tuple[Copies, Answer]]
     ) -> tuple[Outcome[C], bool]:
         """One copy along one route, and whether further ones say no more of it."""
         opened = self._open(candidate)

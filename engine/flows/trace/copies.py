@@ -1,7 +1,7 @@
 """Copies of one asset: placed in a suspect once, and read once for all of them.
 
-They have the reference in common, and so where it lies and what every Gaussian says; cells, chips and amplitudes are
-each copy's own.
+They have the reference in common, and so where it lies and what every Gaussian says; from format 3 on the evidence of
+their copy layer, too. Before, cells, chips and amplitudes were each copy's own.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ MOST_GRAINS = 4
 """Readings of the grain that are kept: copies have it in one of a few strengths, and each takes 24 bytes a chip."""
 
 
-def asset_of(opened: OpenedRecord) -> tuple[str, bool]:
-    """What the records of copies that are read together have in common."""
-    return opened.header.reference_digest, opened.grain.there
+def asset_of(opened: OpenedRecord) -> tuple[str, bool, bytes]:
+    """What the records of copies that are read together have in common: from format 3 on the owner's layer, too."""
+    shared = b"" if opened.spreading.sizes is None else opened.grain_key
+    return opened.header.reference_digest, opened.grain.there, shared
 
 
 class Copies:
@@ -48,6 +49,8 @@ class Copies:
 
     def reading_of(self, opened: OpenedRecord) -> Reading:
         """The reading as it speaks of one copy."""
+        if opened.spreading.sizes is not None:  # the owner's layer is that of all copies
+            return self.reading
         return replace(self.reading, evidence=self.evidence(opened), scattered=None)
 
     def evidence(self, opened: OpenedRecord) -> Evidence:

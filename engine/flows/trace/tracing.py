@@ -14,16 +14,21 @@ from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.trace.copies import Copies, asset_of
-from engine.flows.verify.decision import VerifyConfig
+from engine.flows.verify.decision import VerifyConfig, copy_z
 from engine.flows.verify.search import Suspect, count_tries
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json
 from engine.watermark.layers import layered_z
+from engine.watermark.messages import Signs
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.spreading import ONE_BIT, Spreading
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
 
+DAMPED = 0.75
+"""Share of the owner's layer's strength below which a copy's own was damped by others."""
 SIGNS = 2
 """A copy's mark may show turned round."""
 
@@ -42,6 +47,7 @@ class CopyFinding:
     route: str  # kind of evidence
     # Share of the record's reference found in the suspect; None where the route does not measure it
     derived_fraction: float | None
+    strength: float | None = None  # share of the copy's own layer that is left, of Gaussians: 1 in an untouched copy
 
 
 @dataclass(frozen=True)
@@ -105,9 +111,10 @@ def trace(
     clock = Clock(progress)
     routes = suspect.routes(config.route)
     again = list(records) if iter(records) is records else records
-    assets: dict[tuple[str, bool], Copies] = {}
-    copies: dict[tuple[str, bool], list[str]] = {}
-    settled: set[tuple[str, bool]] = set()  # some copy was named: no further route is asked
+    assets: dict[tuple[str, bool, bytes], Copies] = {}
+    copies: dict[tuple[str, bool, bytes], list[str]] = {}
+    firsts: dict[tuple[str, bool, bytes], OpenedRecord] = {}
+    settled: set[tuple[str, bool, bytes]] = set()  # some copy was named: no further route is asked
     found: dict[str, CopyFinding] = {}
     tries = 0
     for number in range(len(routes)):
@@ -116,6 +123,7 @@ def trace(
             place = asset_of(opened)
             if place not in assets:
                 assets[place], copies[place] = Copies(suspect, opened, routes, config.seed, clock), []
+                firsts[place] = opened
             if number == 0:
                 if record_id in found:
                     raise InputError(f"record {record_id} (copy {opened.copy!r}) is given twice")
@@ -132,6 +140,8 @@ def trace(
     if not found:
         raise InputError("no record was given")
     notes = tuple(note for asset in assets.values() for note in asset.reading.notes)
+    for place, names in copies.items():
+        notes += tuple(_combined(assets[place], firsts[place], [found[name] for name in names]))
     strongest_first = tuple(sorted(found.values(), key=lambda finding: -abs(finding.z)))
     threshold = z_threshold(config.false_claim_rate, tries)
     return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))
@@ -149,11 +159,37 @@ def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRec
 
 
 def _judge(asset: Copies, opened: OpenedRecord) -> CopyFinding:
-    evidence = asset.evidence(opened)
-    signs = opened.spreading_of(len(evidence.y)).signs(opened.message)
-    z = layered_z(evidence, signs, opened.layout.chips, either_way=True).best
-    route, share = asset.reading.route, asset.reading.derived_fraction
-    return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share)
+    reading, strength = asset.reading, None
+    z = copy_z(reading, opened, either_way=True)
+    if z is None:  # its mark is its own, or nobody's but the owner's
+        evidence = asset.evidence(opened)
+        spreading = opened.spreading_of(len(evidence.y))
+        signs, sized = spreading.signs(opened.message), evidence.sized(spreading.sizes)
+        z = layered_z(sized, signs, opened.layout.chips, either_way=True).best
+    elif reading.route == "model":
+        assert reading.copied is not None
+        strength = _strength(reading.copied, opened.copy_spreading(), ONE_BIT)
+    route, share = reading.route, reading.derived_fraction
+    return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share, strength)
+
+
+def _strength(evidence: Evidence, spreading: Spreading, message: Signs) -> float:
+    """How much of a layer is left, by least squares over its chips: 1 in an untouched copy."""
+    sized = evidence.sized(spreading.sizes)
+    expected = float(sized.weights @ sized.signal)
+    return float((sized.weights * sized.y) @ spreading.signs(message)) / expected if expected > 0 else 0.0
+
+
+def _combined(asset: Copies, opened: OpenedRecord, findings: Sequence[CopyFinding]) -> Iterator[str]:
+    """What the findings about one asset's copies say together."""
+    named = [finding for finding in findings if finding.named]
+    if len(named) > 1:
+        yield f"at least {len(named)} copies were combined: each left its own trace"
+    elif named and named[0].strength is not None:
+        reading = asset.reading
+        owner = _strength(reading.evidence, opened.spreading_of(len(reading.evidence.y)), opened.message)
+        if owner > 0 and named[0].strength < DAMPED * owner:
+            yield "at least two copies were combined: what tells this copy from others is damped"
 
 
 def _counted(finding: CopyFinding, tries: int, config: VerifyConfig) -> CopyFinding:

@@ -8,14 +8,15 @@ from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.model import Camera
 from engine.registration.registration_search import Registration
-from engine.watermark.claim import SCATTERED, Circumstances, Claim, ClaimConfig, Transform, decide
+from engine.watermark.claim import LINEAR, SCATTERED, Circumstances, Claim, ClaimConfig, Transform, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import adaptive_weights, decode_paper
-from engine.watermark.power import Moments, moments
+from engine.watermark.power import Moments, change, moments
 from engine.watermark.rates import AppliedRate, Attested, applicable_rate
+from engine.watermark.spreading import Spreading
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
 
 ROUTES = ("auto", "model", "render", "image")
@@ -65,6 +66,7 @@ class Reading:
     pictures: Evidence | None = None  # what pictures of it alone say
     scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
     cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
+    copied: Evidence | None = None  # of the copy layer, where the record has one
 
     @property
     def derived_fraction(self) -> float | None:
@@ -73,28 +75,29 @@ class Reading:
 
 
 def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: int = 1) -> Claim:
-    """The claim that a reading supports: its evidence, or the same pictures read by their scatter, where that says
-    more.
+    """The claim that a reading supports: its evidence, or the same suspect read in another way, where that says more.
 
     All of it must be counted in `tries`, or in those of the configuration.
     """
     rate = ClaimConfig.at(config.rate_for(opened.attested))
     tries = max(tries, config.tries or 1)
-    evidence, tint = reading.evidence, opened.layout.chips
-    spreading = opened.spreading_of(len(evidence.y))
+    tint = opened.layout.chips
+    spreading = opened.spreading_of(len(reading.evidence.y))
+    evidence = reading.evidence.sized(spreading.sizes)
     signs = spreading.signs(opened.message)
     layered = layered_z(evidence, signs, tint)
     asked, layers = only(evidence, layered.strongest, tint), dict(layered.z)
-    sums = _sums_of_layers(evidence, tint)
-    change = max(each.change for each in sums.values())  # that of both together lies between them
+    sums = {name: moments(*evidence.part(part)) for name, part in _layers(evidence, tint).items()}
     known: Moments | None = (
         reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
     )
-    if reading.scattered is not None:
-        other = layered_z(reading.scattered, signs, tint)
-        layers |= {name + SCATTERED: z for name, z in other.z.items()}
-        if other.best > max(layered.best, z_threshold(rate.doubt_rate, tries)):
-            asked, known = only(reading.scattered, other.strongest, tint), None
+    loudest = max(layered.best, z_threshold(rate.doubt_rate, tries))
+    for name, way in _other_ways(reading, evidence, spreading):
+        other = layered_z(way, signs, tint)
+        layers |= {layer + name: z for layer, z in other.z.items()}
+        if other.best > loudest:
+            loudest, asked, known = other.best, only(way, other.strongest, tint), None
+    whole = evidence.unsaturated() or evidence
     circumstances = Circumstances(
         tries=tries,
         route=reading.route,
@@ -103,11 +106,39 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         transform=_transform(reading.registration),
         notes=(*reading.notes, *_notes(reading)),
         layers=layers if len(layers) > 1 and opened.grain.there else None,
-        change=change,
+        # That of both together lies between them.
+        change=max(change(*whole.part(part)) for part in _layers(evidence, tint).values()),
         sums=known,
+        copy_z=copy_z(reading, opened),
     )
     claim = decide(asked, spreading, opened.message, circumstances, rate)
     return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim
+
+
+def _layers(evidence: Evidence, tint: int) -> dict[str, slice]:
+    """Where the chips of each layer lie; the names are `layers.LAYERS`."""
+    return {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(evidence.y) > tint else {})
+
+
+def _other_ways(reading: Reading, evidence: Evidence, spreading: Spreading) -> Iterator[tuple[str, Evidence]]:
+    """The same suspect read otherwise, each way counted (`search.WAYS`)."""
+    if reading.scattered is not None:
+        yield SCATTERED, reading.scattered.sized(spreading.sizes)
+    if (linear := evidence.unsaturated()) is not None:
+        yield LINEAR, linear
+
+
+def copy_z(reading: Reading, opened: OpenedRecord, *, either_way: bool = False) -> float | None:
+    """Z of the recipient's own layer, in the way and attribute in which it speaks loudest; None where the record has
+    none, and its copies have marks of their own."""
+    if opened.copies is None or reading.copied is None:
+        return None
+    spreading = opened.copy_spreading()
+    said = reading.copied.sized(spreading.sizes)
+    tint = opened.copies.layout.chips
+    ways = [said, *(way for way in [said.unsaturated()] if way is not None)]
+    found = [layered_z(way, spreading.chips, tint, either_way=either_way).best for way in ways]
+    return max(found, key=abs if either_way else float)
 
 
 def _transform(registration: Registration | None) -> Transform | None:
@@ -153,14 +184,6 @@ def _with_paper_bits(claim: Claim, reading: Reading, opened: OpenedRecord) -> Cl
         log10_binomial_tail=log10_binomial_tail(matching, len(bits)),
         notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
     )
-
-
-def _sums_of_layers(evidence: Evidence, tint: int) -> dict[str, Moments]:
-    """Those of each layer, the names are `layers.LAYERS`; the tint's chips come first."""
-    parts = {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(evidence.y) > tint else {})
-    return {
-        name: moments(evidence.y[part], evidence.weights[part], evidence.signal[part]) for name, part in parts.items()
-    }
 
 
 def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:

@@ -1,7 +1,7 @@
 """The search: is this record's mark in this suspect? Hypotheses, tries and routes, once (DESIGN 4.9).
 
 1. What is asked is fixed, and counted: every record along every route at every place is three tries, walked or not:
-   both layers of the mark together and each alone. Of pictures it is six: they are read in two ways.
+   tint and grain together and each alone. Of pictures and of Gaussians it is six: they are read in two ways.
 2. Of many records only those are asked whose asset the suspect resembles (`engine.catalogue`, blind to chips).
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
 4. What a route says is added to what those before it said, never chosen over it.
@@ -19,12 +19,13 @@ from dataclasses import dataclass, replace
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.verify.copy_evidence import copy_of_pictures
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.suspect_evidence import (
     derivation_of_model,
     derivation_of_pictures,
     derivation_of_sight,
-    read_gaussians,
+    read_layers,
     read_pictures,
     read_renders,
 )
@@ -39,8 +40,9 @@ from engine.watermark.model_evidence import Evidence
 __all__ = ["Answer", "Reading", "Suspect", "Verification", "count_tries", "readings", "verify"]
 
 
-PICTURE_WAYS = 2
-"""Pictures are read with every chip saturated, and by their scatter."""
+WAYS = {"image": 2, "model": 2}
+"""In how many ways each route is read, where in more than one: pictures with every chip saturated, and by their
+scatter; Gaussians with every chip saturated, and in proportion to what each says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,7 @@ def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, place
     A try is a Z that may be computed: all count from the first on, or the rates of the routes would add up beyond the
     one asked for. A registration's own hypotheses were weighed without the chips and are none.
     """
-    ways = sum(PICTURE_WAYS if route == "image" else 1 for route in routes)
+    ways = sum(WAYS.get(route, 1) for route in routes)
     return max(records * ways * len(LAYERS) * places, config.tries or 1)
 
 
@@ -115,18 +117,20 @@ def readings(
             pictures=evidence,
             scattered=scattered,
             cameras=cameras,
+            copied=copy_of_pictures(opened, evidence),
         )
         return
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed)
         matched = derivation_of_model(opened.reference, suspect.model, registration)
     said: Evidence | None = None
+    copied: Evidence | None = None
     for route in routes:
         with clock.stage(route):
             if route == "model":
-                evidence = read_gaussians(suspect.model, opened, registration)
+                evidence, copied = read_layers(suspect.model, opened, registration)
                 said = evidence if evidence.weights.any() else None
-                reading = Reading(route, evidence, registration, (), registration.found, matched)
+                reading = Reading(route, evidence, registration, (), registration.found, matched, copied=copied)
             else:
                 renders = read_renders(suspect.model, opened, registration, clock)
                 both = said is not None and bool(renders.evidence.weights.any())
@@ -134,7 +138,9 @@ def readings(
                 sight = derivation_of_sight(matched, renders.recognised)
                 asked = "both" if both else route
                 said_all = evidence, registration, renders.notes, renders.shown, sight
-                reading = Reading(asked, *said_all, renders.evidence)
+                shown = copy_of_pictures(opened, renders.evidence)
+                copied = copied.plus(shown) if both and copied is not None and shown is not None else shown
+                reading = Reading(asked, *said_all, renders.evidence, copied=copied)
         yield reading
 
 

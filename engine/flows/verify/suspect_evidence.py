@@ -14,6 +14,7 @@ from engine.flows.embed.landmark_bank import bank_views
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
+from engine.flows.verify.copy_evidence import copy_of_gaussians
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
 from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
@@ -54,6 +55,7 @@ __all__ = [
     "read_gaussians",
     "read_grain",
     "read_known",
+    "read_layers",
     "read_pictures",
     "read_renders",
     "read_tint",
@@ -299,14 +301,23 @@ def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: R
     """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10), and where the
     record has a grain, of its centres and sizes.
     """
-    tint = read_tint(suspect, opened, registration)
-    return tint.then(read_grain(suspect, opened, registration)) if opened.grain.there else tint
+    return read_layers(suspect, opened, registration)[0]
+
+
+def read_layers(
+    suspect: GaussianModel, opened: OpenedRecord, registration: Registration
+) -> tuple[Evidence, Evidence | None]:
+    """Of the layer that carries the claim, as `read_gaussians`; and of the copy layer, where the record has one."""
+    compared = compare_tint(suspect, opened, registration)
+    tint = read_tint(suspect, opened, registration, compared)
+    grain = read_grain(suspect, opened, registration) if opened.grain.there else None
+    return tint if grain is None else tint.then(grain), copy_of_gaussians(opened, compared, grain)
 
 
 def read_tint(
     suspect: GaussianModel, opened: OpenedRecord, registration: Registration, compared: Residual | None = None
 ) -> Evidence:
-    """What the suspect's colours say, in the cells of this record's copy; `compared` as `compare_tint` gives it."""
+    """What the suspect's colours say, in the cells of this record; `compared` as `compare_tint` gives it."""
     if compared is None:
         compared = compare_tint(suspect, opened, registration)
     tint = gather_residual(opened.layout, compared)

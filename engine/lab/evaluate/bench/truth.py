@@ -14,7 +14,7 @@ from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.records.opened_record import OpenedRecord, draw_spreading, open_record, plan_of
+from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.trace.tracing import trace_model
 from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
@@ -22,9 +22,8 @@ from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.collusion import RULES, collude
 from engine.raster import render
-from engine.records.header import make_record_id
-from engine.watermark.keys import CHIPS, OwnerKey, signs
-from engine.watermark.messages import derive_message
+from engine.records.header import chip_context
+from engine.watermark.keys import CHIPS, COPY, OwnerKey, signs
 from engine.watermark.rates import MADE_FIRST
 from engine.watermark.statistics import log10_false_claim_bound, wrong_key_z
 
@@ -141,14 +140,12 @@ def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
 def innocent_copies(record: OpenedRecord, key: OwnerKey, count: int) -> Iterator[OpenedRecord]:
     """Records of copies of the same asset that no suspect was made of, drawn as an embedding draws them.
 
-    The record is of a copy without landmarks, with a message derived from its name; the key is its own.
+    They share the owner's layer, as all copies do; the key of their own is another one's.
     """
     reference = bytes.fromhex(record.header.reference_digest)
     for number in range(count):
         name = f"{INNOCENT} {number}"
-        message = derive_message(key, len(record.message), reference + name.encode())
-        plan = plan_of(record.layout, record.grain, message, record.cameras, None)
-        spreading, grain_key = draw_spreading(key, reference, name, record.layout, plan)
-        record_id = make_record_id(key, reference, name, *plan).hex()
-        header = replace(record.header, record_id=record_id)
-        yield replace(record, header=header, copy=name, message=message, spreading=spreading, grain_key=grain_key)
+        digest = hashlib.sha256(name.encode()).digest()[:16]
+        header = replace(record.header, record_id=digest.hex())
+        copy_key = key.derive(COPY, chip_context(reference, digest))
+        yield replace(record, header=header, copy=name, copy_key=copy_key)

@@ -10,6 +10,7 @@ import numpy as np
 
 from engine.errors import CapacityError
 from engine.flows.embed.auto_profile import rehearse
+from engine.flows.embed.copy_mark import owner_displacements
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig
@@ -27,7 +28,6 @@ from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
 from engine.watermark.rates import MADE_FIRST
-from engine.watermark.spreading import signed_amplitudes
 
 ATTACKS: tuple[Trial, ...] = (
     Trial("none", (), "", "model"),
@@ -165,9 +165,7 @@ def _fidelity(subject: MarkedScene, original: GaussianModel, views: list[Camera]
 
 def _unmarked(marked: GaussianModel, opened: OpenedRecord) -> GaussianModel:
     """The delivered model without its mark: what the record says was added is taken away."""
-    signed = signed_amplitudes(opened.layout.amplitudes, opened.spreading, opened.message)
-    step = np.float32(opened.strength) * opened.layout.displace(signed)
-    return marked.with_(sh=add_dc(marked.sh, -step))
+    return marked.with_(sh=add_dc(marked.sh, -owner_displacements(opened)[0]))
 
 
 def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: bool) -> Row:

@@ -304,8 +304,8 @@ def edited_record(opened: OpenedRecord, track: EditTrack) -> OpenedRecord:
         raise InputError(f"the track starts from {track.edits[0].count} Gaussians, the record's reference has {count}")
     origin = track.origin(count)
     origin = origin[origin >= 0]
-    layout = replace(opened.layout, labels=tuple(label[origin] for label in opened.layout.labels))
-    return replace(opened, reference=track.replay(opened.reference, filling=False), layout=layout)
+    reference = track.replay(opened.reference, filling=False)
+    return replace(opened, reference=reference, layout=opened.layout.at(origin), copies=None)
 
 
 def verify_edited(

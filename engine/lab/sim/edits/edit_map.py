@@ -13,6 +13,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from engine.flows.embed.copy_mark import owner_displacements
 from engine.flows.records.opened_record import OpenedRecord
 from engine.lab.sim.edits.edit import Recoloring
 from engine.lab.sim.edits.pieces import Pieces, register_pieces
@@ -21,7 +22,6 @@ from engine.numerics.umeyama import Similarity
 from engine.registration.matching import DC_CLIP
 from engine.watermark.layout import MARK_SCALE
 from engine.watermark.model_evidence import remove_affine_color
-from engine.watermark.spreading import signed_amplitudes
 
 LINKS = 8  # neighbors by which Gaussians of a patch hang together
 REACH = 4.0  # links longer than this many median links join nothing
@@ -232,8 +232,7 @@ def _moved_by(pieces: Pieces, rows: Int64) -> Similarity:
 
 def _mark_of(opened: OpenedRecord) -> Float64:
     """(N, 3) DC displacement that the record's mark makes."""
-    signed = signed_amplitudes(opened.layout.amplitudes * opened.strength, opened.spreading, opened.message)
-    return opened.layout.displace(signed)[:, :3].astype(np.float64)
+    return owner_displacements(opened)[0][:, :3].astype(np.float64)
 
 
 def _beyond(reference: Float64, shown: Float64, mark: Float64, trust: Float64) -> tuple[float, Float64]:
