@@ -54,7 +54,7 @@ class PlanConfig:
     codes: int = 4096
     # The same again as cells that are 8 times as wide, 64 times, ..., so often; and what share of the tint's image
     # energy these have: what is wide outlives smoothing, merging and posted pictures
-    wide_scales: int = 2
+    wide_scales: int = 0
     wide_share: float = 0.25
     # Where copies are told apart: what share of the squared error is theirs. The rest is the owner's, the same in all
     # copies, and carries the claim; pictures need more of it
