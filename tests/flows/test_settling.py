@@ -10,7 +10,7 @@ import pytest
 
 from engine.flows.embed import copy_mark as marking
 from engine.flows.embed import layer_strengths as settling
-from engine.flows.embed.copy_mark import DRAWS, Committed, Copy, make_mark
+from engine.flows.embed.copy_mark import DRAWS, Committed, make_owner_mark
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import (
     CLOSE,
@@ -101,13 +101,15 @@ def test_without_grain_the_tint_has_all() -> None:
     assert found.tint.psnr_db == pytest.approx(WANTED.psnr_db + MARGIN_DB)
 
 
-def test_strengths_do_not_know_the_chips(small_plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two copies: other messages, chips and cells, the same grain; and no strength beside the plan."""
-    # A draw that misses what was settled, one in six here, lowers both layers: another test's matter.
-    monkeypatch.setattr(marking, "measure", lambda *_: Fidelity(60.0, 1.0))
+def test_strengths_know_nothing_of_the_copy(small_plant: GaussianModel) -> None:
+    """All that two copies' records commit to is the same, but for which draw it is."""
     one, other = (embed(small_plant, bench_key(1), original_sha256="11" * 32, config=SMALL, copy=c) for c in "ab")
     assert one.report["grain"] == other.report["grain"]
     assert "strength" not in one.record.extra
+    for name, array in one.record.plan_arrays.items():
+        np.testing.assert_array_equal(array, other.record.plan_arrays[name])
+    plans = [{**made.record.plan, "copies": {**made.record.plan["copies"], "draw": 0}} for made in (one, other)]
+    assert plans[0] == plans[1]
 
 
 def test_a_miss_lowers_both_layers_by_what_was_missed() -> None:
@@ -122,7 +124,7 @@ def test_a_miss_lowers_both_layers_by_what_was_missed() -> None:
 
 
 def test_key_views_keep_the_asked_fidelity_whatever_the_chips(small_plant: GaussianModel) -> None:
-    for copy in "abc":
+    for copy in ("", "a", "b", "c"):
         made = embed(small_plant, bench_key(3), original_sha256="11" * 32, config=SMALL, copy=copy)
         assert made.report["psnr_worst_view"] >= 47.0
         assert made.report["ssim_worst_view"] >= 0.998
@@ -134,11 +136,32 @@ def test_where_no_strength_will_do_the_last_plan_is_the_one_embedded(monkeypatch
     monkeypatch.setattr(marking, "measure", lambda *_: Fidelity(39.9, 0.95))
     ball = marked_ball(size=64)
     start = Settled(ball.plan, Grain(0.05, 0.02), Fidelity(40.0, 0.9))
-    copy = Copy(bench_key(1), bytes(32), "", ball.message)
     wanted = Fidelity(40.0, 0.9)
-    views = np.full((len(ball.cameras), 1), 100.0)
-    made = make_mark(ball.original, start, copy, Committed(ball.cameras, None), wanted, views, None)
+    pixels = np.full((len(ball.cameras), 1), 100.0)
+    committed = Committed(bytes(32), ball.message, ball.cameras, None)
+    made = make_owner_mark(ball.original, start, bench_key(1), committed, wanted, pixels, None)
+    plan = committed.plan(ball.model, made.settled)
     amplitudes = made.settled.plan.layout.amplitudes
-    np.testing.assert_array_equal(made.plan[1]["amplitudes"], amplitudes.astype(np.float32))
-    np.testing.assert_allclose(np.abs(made.signed), amplitudes)
+    np.testing.assert_array_equal(plan[1]["amplitudes"], amplitudes.astype(np.float32))
+    np.testing.assert_allclose(np.abs(made.signed), amplitudes * made.drawn.tint.sizes)
     assert not made.fidelity.meets(wanted)
+
+
+def test_a_copy_that_shows_too_much_is_drawn_anew_and_never_made_weaker(
+    small_plant: GaussianModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def shows(*_: object) -> Fidelity:
+        calls.append(1)  # the owner's layer first, then three draws
+        return Fidelity(60.0 if len(calls) in (1, 4) else 40.0, 1.0)
+
+    monkeypatch.setattr(marking, "measure", shows)
+    made = embed(small_plant, bench_key(1), original_sha256="11" * 32, config=SMALL, copy="a")
+    assert made.record.plan["copies"]["draw"] == 2
+    monkeypatch.setattr(marking, "measure", lambda *_: Fidelity(60.0, 1.0))
+    first = embed(small_plant, bench_key(1), original_sha256="11" * 32, config=SMALL, copy="a")
+    np.testing.assert_array_equal(
+        first.record.plan_arrays["copies/amplitudes"], made.record.plan_arrays["copies/amplitudes"]
+    )
+    assert (first.model.means != made.model.means).any()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,16 +10,16 @@ import pytest
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
-from engine.flows.records.opened_record import OpenedRecord, draw_spreading, open_record, plan_of
+from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.trace.tracing import trace_images, trace_model
 from engine.flows.verify.verification import VerifyConfig, verify_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
+from engine.lab.evaluate.bench.truth import innocent_copies
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.sim.adversaries.collusion import collude
 from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.raster import render
-from engine.watermark.messages import derive_message
 from engine.watermark.statistics import z_threshold
 from tests.flows.conftest import FiveCopies
 
@@ -43,18 +43,9 @@ class Copies:
 @pytest.fixture(scope="module")
 def copies(five_copies: FiveCopies) -> Copies:
     """Five copies of one asset, and the records of copies that nobody leaked."""
-    key, first = bench_key(5), five_copies.opened[0]
-    digest = bytes.fromhex(first.header.reference_digest)
-
-    def innocent(number: int) -> OpenedRecord:
-        name = f"innocent {number}"
-        message = derive_message(key, 16, digest + name.encode())
-        plan = plan_of(first.layout, first.grain, message, first.cameras, None)
-        header = replace(first.header, record_id=f"{number:032x}")
-        chips, grain_key = draw_spreading(key, digest, name, first.layout, plan)
-        return replace(first, header=header, copy=name, message=message, spreading=chips, grain_key=grain_key)
-
-    return Copies(five_copies.models, five_copies.opened, [innocent(i) for i in range(INNOCENT)])
+    return Copies(
+        five_copies.models, five_copies.opened, list(innocent_copies(five_copies.opened[0], bench_key(5), INNOCENT))
+    )
 
 
 @pytest.mark.parametrize("rule", ["mean", "median", "min", "max", "minmax", "randneg", "interleave", "patches"])
@@ -70,7 +61,7 @@ def test_one_reading_gives_what_single_verifications_give(copies: Copies) -> Non
     answer = trace_model(suspect, copies.opened, MODEL)
     z = {f.copy: f.z for f in answer.findings}
     for opened in copies.opened[:3]:
-        assert z[opened.copy] == pytest.approx(verify_model(suspect, opened, MODEL).claim.z, rel=1e-9)
+        assert z[opened.copy] == pytest.approx(verify_model(suspect, opened, MODEL).claim.copy_z, rel=1e-9)
     assert [f.copy for f in answer.named] == [f.copy for f in answer.findings[:3]]
     assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
     assert all(f.derived_fraction > 0.9 for f in answer.findings)
@@ -79,10 +70,10 @@ def test_one_reading_gives_what_single_verifications_give(copies: Copies) -> Non
 def test_every_record_and_route_is_a_try(copies: Copies) -> None:
     alone = trace_model(copies.models[0], copies.opened[:1], MODEL)
     among = trace_model(copies.models[0], copies.opened + copies.others, VerifyConfig(route="auto"))
-    assert (alone.tries, among.tries) == (6, 12 * (5 + INNOCENT))
+    assert (alone.tries, among.tries) == (12, 18 * (5 + INNOCENT))
     assert among.z_threshold == z_threshold(1e-9, among.tries) > alone.z_threshold
     assert among.named[0].log10_false_claim == pytest.approx(
-        alone.named[0].log10_false_claim + np.log10(among.tries / 6)
+        alone.named[0].log10_false_claim + np.log10(among.tries / 12)
     )
     counted = trace_model(copies.models[0], copies.opened, VerifyConfig(route="model", tries=10**6))
     assert counted.tries == 10**6
@@ -109,7 +100,7 @@ def test_assets_of_one_owner_are_read_apart(copies: Copies, small_plant: Gaussia
     elsewhere = open_record(record.to_bytes(key), key)
     answer = trace_model(copies.models[2], [elsewhere, *copies.opened], MODEL)
     assert [f.copy for f in answer.named] == ["buyer 2"]
-    assert answer.tries == 36
+    assert answer.tries == 72
 
 
 def test_what_cannot_be_traced_is_refused(copies: Copies) -> None:

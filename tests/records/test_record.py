@@ -76,9 +76,9 @@ def test_wrong_key_damage_and_later_version_are_three_errors() -> None:
         Record.from_bytes(GOLDEN, OTHER)
     with pytest.raises(WrongKeyError):
         golden_record().to_bytes(OTHER)
-    later = GOLDEN[:8] + struct.pack("<H", 3) + b"anything"
-    for data in (later + GOLDEN[10:], with_checksum(GOLDEN[:8] + struct.pack("<H", 3) + GOLDEN[10:-32])):
-        with pytest.raises(RecordTooNewError, match="format 3"):
+    later = GOLDEN[:8] + struct.pack("<H", 4) + b"anything"
+    for data in (later + GOLDEN[10:], with_checksum(GOLDEN[:8] + struct.pack("<H", 4) + GOLDEN[10:-32])):
+        with pytest.raises(RecordTooNewError, match="format 4"):
             Record.from_bytes(data, KEY)
     for key in (KEY, OTHER):  # damage is damage, whatever the key
         with pytest.raises(MalformedRecordError, match="damaged"):
@@ -221,7 +221,7 @@ def test_opened_records_are_frozen() -> None:
         {"registered_at": "x" * 65},
         {"registered_at": "a\nb"},
         {"tool_version": "é"},
-        {"format_version": 3},
+        {"format_version": 4},
         {"original_digest": 7},
     ],
 )

@@ -13,7 +13,7 @@ from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.search import Reading, Suspect, readings
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
+from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies
 from engine.lab.sim.attacks import model_attack
 from engine.model import Float32
 from engine.raster import render
@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 def scene(tmp_path_factory: pytest.TempPathFactory) -> MarkedScene:
     path = tmp_path_factory.mktemp("scene") / "plant.splat"
     path.write_bytes(sparse_plant())
-    return mark_scene(path, profile("fast", landmark_views=0, views=2, view_size=192))
+    return mark_copies(path, profile("fast", landmark_views=0, views=2, view_size=192), ["a"])[0]
 
 
 def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
@@ -38,7 +38,7 @@ def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
     layout = opened.layout
     return replace(
         opened,
-        spreading=spread(key, bytes([seed]), layout.codes, len(layout.directions[0]), len(opened.message)),
+        spreading=spread(key, bytes([seed]), layout.codes, len(layout.directions[0]), len(opened.message), sized=True),
         grain_key=key.derive(CHIPS, b"another"),
         message=(-opened.message).astype(np.int8),
         strength=opened.strength * 3.0,
@@ -76,22 +76,36 @@ def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: Mar
             assert one.route == other.route
             assert a.y.tobytes() == b.y.tobytes(), (name, one.route)
             assert a.weights.tobytes() == b.weights.tobytes(), (name, one.route)
+            assert (a.linear is None) == (b.linear is None)
+            assert a.linear is None or (b.linear is not None and a.linear.tobytes() == b.linear.tobytes())
             assert a.weights.any()
             routes.add(one.route)
     assert routes == {"model", "both", "image"}
+
+
+def test_evidence_of_the_copy_layer_is_the_same_whatever_its_chips_are(scene: MarkedScene) -> None:
+    """The owner's layer is taken off before; the copy's own values enter nothing."""
+    opened = replace(scene.opened, copy_key=bytes(32))
+    assert opened.copies is not None
+    for name, suspect in suspects(scene).items():
+        for one, other in zip(walk(suspect, scene.opened), walk(suspect, opened), strict=True):
+            assert one.copied is not None
+            assert other.copied is not None
+            assert one.copied.y.tobytes() == other.copied.y.tobytes(), (name, one.route)
+            assert one.copied.weights.tobytes() == other.copied.weights.tobytes(), (name, one.route)
 
 
 def test_the_test_would_see_a_leak(scene: MarkedScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Evidence that a strength enters is told apart."""
     import engine.flows.verify.search as searching
 
-    read = searching.read_gaussians
+    read = searching.read_layers
 
     def leaking(suspect, opened, registration):  # type: ignore[no-untyped-def]
-        evidence = read(suspect, opened, registration)
-        return Evidence(evidence.y * opened.strength, evidence.weights, evidence.signal)
+        evidence, copied = read(suspect, opened, registration)
+        return Evidence(evidence.y * opened.strength, evidence.weights, evidence.signal), copied
 
-    monkeypatch.setattr(searching, "read_gaussians", leaking)
+    monkeypatch.setattr(searching, "read_layers", leaking)
     suspect = Suspect(scene.marked)
     one, other = (walk(suspect, opened)[0].evidence for opened in (scene.opened, drawn_anew(scene.opened, 1)))
     assert one.y.tobytes() != other.y.tobytes()

@@ -135,4 +135,3 @@ def test_sums_of_two_evidences_are_those_of_both_whatever_their_units() -> None:
         both = moments(y, w, s)
         assert first.plus(second).power(6.0) == pytest.approx(both.power(6.0), rel=1e-9)
         assert first.plus(tiny).expected_z == pytest.approx(first.expected_z, rel=1e-9)
-        assert first.plus(tiny).change == pytest.approx(first.change, rel=1e-9)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from engine.compress.hvq import Stage
-from engine.watermark.masses import find_masses, set_aside, spare_masses
+from engine.watermark.keys import OwnerKey
+from engine.watermark.masses import find_masses
+from engine.watermark.secret_cells import OWNER, cells_key, multiples
 
 
 def test_a_value_in_one_channel_that_many_share_is_a_mass() -> None:
@@ -25,26 +27,14 @@ def test_rounding_below_the_references_grid_does_not_hide_a_mass() -> None:
     assert find_masses(dc, 0.05)[:100].all()
 
 
-def test_set_aside_gives_them_one_code_and_leaves_the_others_theirs() -> None:
-    labels = np.array([0, 1, 2, 1, 0, 2], np.int32)
-    stage = Stage(np.arange(9, dtype=np.float32).reshape(3, 3), labels)
-    still = np.array([True, False, False, True, False, False])
-    apart = set_aside(stage, still)
-    assert apart.labels.tolist() == [3, 1, 2, 3, 0, 2]
-    assert apart.labels.dtype == np.int32
-    assert apart.codebook[:3].tolist() == stage.codebook.tolist()
-    assert apart.codebook[3].tolist() == [1.5, 2.5, 3.5]
-
-
-def test_spared_masses_carry_nothing_and_without_masses_nothing_changes() -> None:
-    dc = np.random.default_rng(2).normal(0.0, 1.0, (100, 3)).astype(np.float32)
-    stages = (Stage(np.zeros((2, 3), np.float32), np.zeros(100, np.int32)),)
-    assert spare_masses(dc, stages, 0.1) == (stages, None)
-    dc[:20, 0] = 6.0
-    spared, emphasis = spare_masses(dc, stages, 0.1, np.full(100, 0.5))
-    assert emphasis is not None
-    assert emphasis.tolist() == [0.0] * 20 + [0.5] * 80
-    assert spared[0].labels.tolist() == [2] * 20 + [0] * 80
+def test_masses_take_no_part_in_any_displacement_and_the_others_each_a_part_of_its_own() -> None:
+    still = np.zeros(4_000, dtype=bool)
+    still[:100] = True
+    times = multiples(cells_key(OwnerKey(bytes(range(32))), b"x" * 32, OWNER), still)
+    assert not times[:100].any()
+    assert 0.47 < times[100:].min() < 0.5 < 1.4 < times.max() < 1.45
+    assert np.mean(times[100:] ** 2) == pytest.approx(1.0, abs=0.02)
+    assert len(np.unique(times)) > 100
 
 
 def test_a_scene_of_few_values_is_marked_all_over() -> None:
