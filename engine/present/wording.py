@@ -14,11 +14,7 @@ from engine.watermark.claim import SCATTERED
 from engine.watermark.rates import BASES
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
-HEADLINES = {
-    "marked": "Watermark found",
-    "not_marked": "Derived from your asset, watermark not detected",
-    "inconclusive": "Inconclusive",
-}
+HEADLINES = {"marked": "Watermark found", "not_marked": "Your unmarked original", "inconclusive": "Inconclusive"}
 
 TO_ROUNDING = 1e-3
 """Median displacement, in sizes of a Gaussian, below which positions are called equal: formats round by more."""
@@ -92,7 +88,8 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
     this = suspect or f"{'These' if pictures > 1 else 'This'} {kind}"
     derived = f"{this} {'are' if pictures > 1 and not suspect else 'is'} derived from your asset"
     if claim["verdict"] == "not_marked":
-        return f"{derived}. The watermark of this copy was not detected: it is absent or was removed."
+        equals = "equal" if pictures > 1 and not suspect else "equals"
+        return f"{this} {equals} your unmarked original, or a part of it, and carries no watermark. {_COMPUTED}."
     if claim["verdict"] == "inconclusive":
         it = suspect or f"the {kind}"
         if claim["would_be_claim_if_attested"]:
@@ -100,7 +97,10 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
         if claim["derivation"]["derived"]:
             return f"{derived}. The evidence is not sufficient to say whether it carries this copy's watermark."
         return f"{_nothing_of(claim)} was recognized in {it}."
-    whose = f"the copy made for {form.name(claim['copy'])}" if claim["copy"] else "the registered model"
+    named = (
+        claim["copy"] and claim.get("copy_named") is not False
+    )  # records of before name one copy by the claim itself
+    whose = f"the copy made for {form.name(claim['copy'])}" if named else "your registered model"
     shows = {0: "contains", 1: "shows"}.get(pictures, "show")
     return f"{this} {shows} {whose}, or something made from it: its watermark was found."
 
@@ -120,6 +120,8 @@ def _nothing_of(claim: Mapping[str, Any]) -> str:
     return f"None of your {searched['assets']} registered assets"
 
 
+_COMPUTED = "It was either never marked, or computed from marked copies"
+
 _WOULD = "This would be a claim if a third party attested that the registration is older than the suspect"
 
 
@@ -133,6 +135,7 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("message read", f"{bits}; {_sureness(claim)}", leading=True))
     found.append(Fact("derived", derivation_text(claim["derivation"]), leading=True))
     if claim["verdict"] == "not_marked":
+        found.append(Fact("against the original", _change(claim["change"]), leading=True))
         found.append(Fact("detection power", _power(claim["power"]), leading=True))
     if claim["missing"]:
         found.append(Fact("missing", claim["missing"], leading=True))
@@ -146,13 +149,28 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         other = f", weighted by scatter z {max(scattered):.1f}" if scattered else ""
         found.append(Fact("layers", f"color z {layers['tint']:.1f}{grain}, combined z {layers['both']:.1f}{other}"))
     if claim["copy"]:
-        found.append(Fact("copy", f"made for {form.name(claim['copy'])}"))
+        found.append(Fact("copy", _copy(claim, form)))
     if claim["record_id"]:
         key = f" of key {claim['owner']}" if claim.get("owner") else ""
         found.append(Fact("record", f"{claim['record_id']}{key}, {dated(claim)}"))
     if claim["rate_basis"]:
         found.append(Fact("rate", f"{_needed(claim, form)}: {BASES[claim['rate_basis']]}"))
     return found + [Fact("note", note) for note in claim["notes"]]
+
+
+def _copy(claim: Mapping[str, Any], form: Form) -> str:
+    """Whose copy the record is of, and whether the suspect is that one."""
+    made = f"the record is of the copy made for {form.name(claim['copy'])}"
+    if claim["verdict"] != "marked" or claim.get("copy_named") is None:
+        return made
+    if claim["copy_named"]:
+        return f"the suspect is this copy, or made from it (z {claim['copy_z']:.3g}): {made}"
+    return f"not shown to be this copy (z {claim['copy_z']:.3g}): {made}; tracing asks all copies"
+
+
+def _change(change: float | None) -> str:
+    """How far a suspect lies from the unmarked original, in sizes of what the watermark would have changed."""
+    return "equal to rounding" if change is None else f"differs by {percent(change)} of what the watermark changes"
 
 
 def _sureness(claim: Mapping[str, Any]) -> str:
@@ -165,7 +183,7 @@ def _power(power: float) -> str:
     """How surely a watermark would have been found."""
     least = surely(power) if surely(power).startswith("more") else f"at least {surely(power)}"
     return (
-        "if this copy's watermark were there, even at half strength, it would have been found with a probability of"
+        "if the watermark were there, even at half strength, it would have been found with a probability of"
         f" {least} (deliberate removal aside)"
     )
 
@@ -236,7 +254,7 @@ def _says(claim: Mapping[str, Any], form: Form) -> str:
             f"{_nothing_of(claim)} was recognized in the suspect. This is no proof of the opposite: more pictures, or"
             " more of the model, may show it, and some ways to hide a model defeat every search."
         )
-    return f"The suspect is derived from your asset. In addition, {_power(claim['power'])}."
+    return f"The suspect equals your unmarked original, or a part of it. In addition, {_power(claim['power'])}."
 
 
 def _does_not_say(claim: Mapping[str, Any]) -> str:
@@ -248,9 +266,8 @@ def _does_not_say(claim: Mapping[str, Any]) -> str:
     if claim["verdict"] == "inconclusive":
         return "It does not say that the suspect carries no watermark."
     return (
-        "It acquits nobody: a watermark that was cleaned, averaged or painted away is not detected either. It does not"
-        " say that the suspect is lawful, nor that it is free of another copy's or another owner's watermark: each copy"
-        " has its own record."
+        "It acquits nobody: what somebody computed from marked copies looks like this, too. It does not say how they"
+        " came by it, nor that the suspect is free of another owner's watermark."
     )
 
 

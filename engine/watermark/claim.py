@@ -48,7 +48,7 @@ class Verdict(StrEnum):
     """The three answers. "No mark found" is a result, not an error."""
 
     MARKED = "marked"
-    NOT_MARKED = "not_marked"  # derived from the asset; this copy's mark is absent or was taken out
+    NOT_MARKED = "not_marked"  # it equals the unmarked original to rounding, or a part of it: no acquittal
     INCONCLUSIVE = "inconclusive"
 
 

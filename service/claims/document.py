@@ -131,7 +131,7 @@ def build_document(
 
 
 _BOUND = ("verdict", "confidence", "log10_false_claim", "meets_dishonest_claimant_rate", "would_be_claim_if_attested")
-_SAME = (*_BOUND, "layers", "derived_fraction", "derivation", "transform", "missing", "notes")
+_SAME = (*_BOUND, "layers", "copy_z", "copy_named", "derived_fraction", "derivation", "transform", "missing", "notes")
 _MESSAGE = {
     "hex": "message",
     "bits": "bits",

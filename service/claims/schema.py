@@ -208,7 +208,7 @@ class ClaimDocument(_Part):
     asset: str | None = Field(description="The asset that the answer is about; null where none was recognised of all.")
     original: Original | None
     record_id: str | None
-    copy_name: str | None = Field(alias="copy", description="Recipient of the copy whose mark was looked for.")
+    copy_name: str | None = Field(alias="copy", description="Recipient of the copy whose record it is.")
     registered_at: str | None = Field(description="When that copy entered the audit log, UTC: attested.")
     attested: AttestedTime | None = Field(None, description="The same, as it counted for the rate.")
     verdict: Literal["marked", "not_marked", "inconclusive"]
@@ -222,7 +222,7 @@ class ClaimDocument(_Part):
     threshold: Threshold | None
     message: Message | None
     derived_fraction: float | None = Field(description="Share of the registered model found in the suspect.")
-    derived_but_unmarked: bool = Field(description="Derived; this copy's mark is absent or was taken out.")
+    derived_but_unmarked: bool = Field(description="It equals the unmarked original to rounding, or a part of it.")
     derivation: Derivation | None = None
     transform: dict[str, Any] | None = Field(description="From suspect to registered model.")
     evidence: list[Evidence]
@@ -231,6 +231,8 @@ class ClaimDocument(_Part):
         description="z of each layer of the mark by itself and of both; of pictures, also as read by the scatter"
         " of like chips. The claim rests on the strongest.",
     )
+    copy_z: float | None = Field(None, description="z of what tells this copy from others of the asset.")
+    copy_named: bool | None = Field(None, description="Whether the suspect is this copy, or made from it.")
     regions: RegionCounts | None = Field(None, description="Where on the registered model it was found, as the map.")
     checks: list[Check]
     missing: str = Field(description="What an inconclusive answer lacks.")
