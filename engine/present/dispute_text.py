@@ -36,6 +36,14 @@ DEEDS = {
     "back-dating": (
         "Back-dating: {thief} declares an earlier date. No third party attests it, and the watermarks contradict it."
     ),
+    "unmarked": (
+        "Neither watermark was found in the model that {party} published, which is derived from an asset of the two: it"
+        " was computed from the original, or a watermark was removed from it."
+    ),
+    "equal originals": (
+        "The two originals are equal to rounding: one party got it from the other, or computed it from several marked"
+        " copies. That decides nothing by itself; the dates stand beside it."
+    ),
     "same original": "Both records hold the same original: one party got it from the other.",
 }
 """What was done, in words; names of the parties are filled in."""
@@ -100,7 +108,7 @@ def _finding(found: Mapping[str, Any]) -> str:
 
 def _reasons(found: Mapping[str, Any]) -> list[str]:
     names = _names(found)
-    reasons = [DEEDS[deed].format(**names) for deed, _ in found["seen"]]
+    reasons = [DEEDS[deed].format(**names, party=PARTIES.get(by, "")) for deed, by in found["seen"]]
     earlier = found["registered_first"]
     if not earlier:
         reasons.append("The dates do not tell who registered first, because a third party does not attest both.")

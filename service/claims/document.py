@@ -151,6 +151,8 @@ _NOTHING: Document = {
     "meets_dishonest_claimant_rate": False,
     "would_be_claim_if_attested": False,
     "layers": None,
+    "copy_z": None,
+    "copy_named": None,
     "threshold": None,
     "message": None,
     "derived_fraction": None,

@@ -9,7 +9,17 @@ SCHEMA_VERSION = 3
 
 Hex64 = Field(pattern=r"^[0-9a-f]{64}$")
 Share = Field(ge=0.0, le=1.0)
-Layer = Literal["tint", "grain", "both", "tint_by_scatter", "grain_by_scatter", "both_by_scatter"]
+Layer = Literal[
+    "tint",
+    "grain",
+    "both",
+    "tint_by_scatter",
+    "grain_by_scatter",
+    "both_by_scatter",
+    "tint_unsaturated",
+    "grain_unsaturated",
+    "both_unsaturated",
+]
 
 
 class _Part(BaseModel):
@@ -228,8 +238,8 @@ class ClaimDocument(_Part):
     evidence: list[Evidence]
     layers: dict[Layer, float] | None = Field(
         None,
-        description="z of each layer of the mark by itself and of both; of pictures, also as read by the scatter"
-        " of like chips. The claim rests on the strongest.",
+        description="z of tint and grain by themselves and of both; of pictures, also as read by the scatter of like"
+        " chips; of Gaussians, also without a limit to what one chip says. The claim rests on the strongest.",
     )
     copy_z: float | None = Field(None, description="z of what tells this copy from others of the asset.")
     copy_named: bool | None = Field(None, description="Whether the suspect is this copy, or made from it.")

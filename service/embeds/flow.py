@@ -47,7 +47,7 @@ def _embed(service: Service, run: Run) -> Reply:
     screening = _screen(service, run, model)
     if screening["disputed"]:
         return {"screening": screening, "kept": {}}
-    drawn = _drawn(service, run.job)
+    drawn = _drawn(service, asked)
     return service.do_task(
         run,
         "embed",
@@ -104,9 +104,10 @@ def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
     return sorted((row for row in alike if row.id in ids), key=lambda row: order[row.original_sha256])
 
 
-def _drawn(service: Service, job: Job) -> str:
-    """The service's random part of the plan: unknown before the job exists, so records cannot be tried out."""
-    return service.master.mac("drawn for a record", job.id)
+def _drawn(service: Service, asked: Mapping[str, Any]) -> str:
+    """The service's random part of the plan, the same for all copies of one model under one key, which share a layer:
+    unknown before a first job, so records cannot be tried out."""
+    return service.master.mac("drawn for a record", f"{asked['key_id']} {asked['model']}")
 
 
 def _earlier(service: Service, run: Run) -> str:
@@ -136,7 +137,7 @@ def _commit(service: Service, run: Run) -> Ending:
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row, made.get("drawn") or _drawn(service, job), row["registered_at"])
+            commit_asset(connection, row, made.get("drawn") or _drawn(service, job.request), row["registered_at"])
     report = made["report"]
     result = {
         "asset_id": row["id"],

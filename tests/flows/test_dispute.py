@@ -107,6 +107,25 @@ def test_two_who_marked_one_unmarked_model(owner: Party, small_plant: GaussianMo
     assert "The dates do not tell" in " ".join(dispute_words(undated.to_json()).reasons)
 
 
+def test_an_original_that_equals_the_owners_to_rounding_is_named(owner: Party, small_plant: GaussianModel) -> None:
+    """What several copies give away, or a file that leaked: it decides nothing, and is said."""
+    rng = np.random.default_rng(5)
+    near = small_plant.with_dc(small_plant.sh[:, 0] + 1e-4 * rng.normal(size=(len(small_plant), 3)))
+    found = settle(owner, mark(near, 2))
+    assert found.first == "neither"
+    assert found.seen == (("equal originals", ""),)
+    assert "equal to rounding" in " ".join(dispute_words(found.to_json()).reasons)
+
+
+def test_a_published_model_with_neither_mark_is_named(owner: Party, small_plant: GaussianModel) -> None:
+    other = mark(small_plant, 2)
+    found = settle(owner, Party(other.opened, small_plant))
+    assert ("unmarked", "b") in found.seen
+    assert "Neither watermark was found in the model that Party B published" in " ".join(
+        dispute_words(found.to_json()).reasons
+    )
+
+
 @pytest.mark.long
 def test_two_who_have_nothing_in_common(owner: Party, small_plant: GaussianModel) -> None:
     rng = np.random.default_rng(8)

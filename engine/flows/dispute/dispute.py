@@ -128,6 +128,13 @@ def _deeds(
     headers = {name: party.opened.header for name, party in parties.items()}
     if headers["a"].reference_digest == headers["b"].reference_digest:
         yield "same original", ""
+    elif any(found[mark, place, "original"].claim.verdict is Verdict.NOT_MARKED for mark, place in ("ab", "ba")):
+        yield "equal originals", ""
+    for place in "ab":
+        claims = [found[mark, place, "published"].claim for mark in "ab"]
+        none = all(claim.verdict is not Verdict.MARKED for claim in claims)
+        if none and any(claim.derivation.derived for claim in claims):
+            yield "unmarked", place
     if first not in ("a", "b"):
         return
     owner, thief = first, "b" if first == "a" else "a"

@@ -13,6 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Unpack
 
+import numpy as np
+
 from engine.catalogue.entry import SeenPoints
 from engine.errors import InputError
 from engine.extras import load_extra
@@ -26,6 +28,7 @@ from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
+from engine.flows.records.opened_record import PlanParts
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
@@ -182,6 +185,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         owner, committed = asset.owner_mark(copied=bool(copy))
     plan = owner.settled.plan
     with clock.stage("mark"):
+        if terms.earlier is not None:
+            _check_shared(terms.earlier, committed.plan(views.model, owner.settled), asset)
         mark = make_mark(views, owner, key, copy, committed, wanted, variant.at_view)
     marked, fidelity = mark.model, mark.fidelity
     if settings.refine.steps > 0:
@@ -225,3 +230,20 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         seconds_by_stage=clock.seconds,
     )
     return Embedding(marked, record, settings, report, asset.seen)
+
+
+def _check_shared(earlier: Record, plan: PlanParts, asset: Asset) -> None:
+    """Refuse a second owner's layer on one model: whoever has a copy of each could tell both from their difference."""
+    header, (ours, arrays) = earlier.header, plan
+    if (header.reference_digest, header.owner) != (asset.digest.hex(), asset.key.fingerprint):
+        return
+    copies = [{**each["copies"], "draw": 0} if "copies" in each else None for each in (earlier.plan, ours)]
+    same = copies[0] == copies[1] and {**earlier.plan, "copies": 0} == {**ours, "copies": 0}
+    same &= set(arrays) == set(earlier.plan_arrays)
+    if header.format_version < 3 or (same and all(np.array_equal(earlier.plan_arrays[n], arrays[n]) for n in arrays)):
+        return
+    raise InputError(
+        f"this model was marked before (copy {earlier.copy!r}) with other settings: two watermarks of yours on one model"
+        " give each other away to whoever compares the files. Take the same settings, message and program version, and"
+        " either a recipient's name for every copy or none at all"
+    )
