@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.flows.embed.copy_mark import mark_again
 from engine.flows.embed.embedding import embed_copies
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
@@ -43,6 +44,14 @@ def five_copies(small_plant: GaussianModel) -> FiveCopies:
     config = profile("fast", landmark_views=0, views=3, view_size=160)
     made = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=config))
     return FiveCopies([each.model for each in made], [open_record(each.record.to_bytes(key), key) for each in made])
+
+
+@pytest.fixture(scope="session")
+def earlier_copies() -> FiveCopies:
+    """Three copies of format 2, each with cells, chips and a message of its own."""
+    folder, key = SCENE.parent / "records" / "copies_v2", bench_key(5)
+    opened = [open_record((folder / f"buyer_{number}.m3dr").read_bytes(), key) for number in range(3)]
+    return FiveCopies([mark_again(each) for each in opened], opened)
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.trace.copies import Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Answer, Suspect, Verification, count_tries, verify
+from engine.numerics.blas import one_blas_thread
 from engine.watermark.claim import Claim, Verdict
 
 __all__ = ["Candidate", "Outcome", "Search", "search"]
@@ -59,6 +60,11 @@ class Outcome(Generic[C]):
         return self.claim is not None and self.claim.verdict is Verdict.MARKED
 
     @property
+    def named(self) -> bool:
+        """Whether it is this copy, as far as copies of its kind are told apart by themselves."""
+        return self.marked and self.claim is not None and self.claim.copy_named is not False
+
+    @property
     def z(self) -> float:
         """How loudly the suspect speaks for it; 0 where it could not be asked."""
         return 0.0 if self.claim is None else self.claim.z
@@ -93,16 +99,17 @@ class Search(Generic[C]):
         return max(self.outcomes, key=lambda outcome: outcome.worth, default=None)
 
 
+@one_blas_thread
 def search(
     suspect: Suspect, candidates: Sequence[C], config: VerifyConfig, progress: Progress, *, stop_at_first: bool = False
 ) -> Search[C]:
-    """Ask one candidate after the other; with `stop_at_first` none after the first whose mark is there."""
+    """Ask one candidate after the other; with `stop_at_first` none after the first copy that is named."""
     tries = count_tries(len(candidates), suspect.routes(config.route), config)
     asked = _Asked(suspect, replace(config, tries=max(1, tries)), progress, len(candidates), stop_at_first)
     outcomes: list[Outcome[C]] = []
     for _, copies in groupby(candidates, lambda each: each.original):
         outcomes = _with_best(outcomes + asked.about(list(copies)))
-        if stop_at_first and any(each.marked for each in outcomes):
+        if stop_at_first and any(each.named for each in outcomes):
             break
     return Search(tuple(outcomes), tries, asked.seconds)
 
@@ -135,7 +142,7 @@ class _Asked:
         loud = [number for number, each in enumerate(outcomes) if not each.whole and each.z >= STANDS_OUT]
         for number in sorted(loud, key=lambda number: -outcomes[number].z):
             outcomes[number] = self._alone(copies[number])
-            if self._stop_at_first and outcomes[number].marked:
+            if self._stop_at_first and outcomes[number].named:
                 break
         self._done, self._number = self._done + len(copies), 0
         return outcomes
@@ -162,7 +169,7 @@ class _Asked:
                 if outcome.marked and not outcome.whole:
                     outcome = self._alone(copies[number])
                 outcomes = _with_best([*outcomes[:number], outcome, *outcomes[number + 1 :]])
-                if self._stop_at_first and outcome.marked:
+                if self._stop_at_first and outcome.named:
                     return outcomes
                 if not settled:
                     going_on.append(number)
@@ -189,7 +196,8 @@ class _Asked:
         with self._clock.stage("decide"):
             answer = answer if itself else Answer(self._config)
             answer.hear(opened, read.reading if itself else read.reading_of(opened))
-        found, whole = answer.verification, itself or read.reading.route == "model"
+        shared = opened.spreading.sizes is not None  # one reading is that of all copies
+        found, whole = answer.verification, itself or shared or read.reading.route == "model"
         return Outcome(candidate, found.claim, None, whole, opened, found), answer.settled
 
     def _open(self, candidate: C) -> OpenedRecord | RecordError:
