@@ -135,7 +135,7 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("message read", f"{bits}; {_sureness(claim)}", leading=True))
     found.append(Fact("derived", derivation_text(claim["derivation"]), leading=True))
     if claim["verdict"] == "not_marked":
-        found.append(Fact("against the original", _change(claim["change"]), leading=True))
+        found.append(Fact("against the original", _change(claim.get("change")), leading=True))
         found.append(Fact("detection power", _power(claim["power"]), leading=True))
     if claim["missing"]:
         found.append(Fact("missing", claim["missing"], leading=True))
@@ -160,12 +160,12 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
 
 def _copy(claim: Mapping[str, Any], form: Form) -> str:
     """Whose copy the record is of, and whether the suspect is that one."""
-    made = f"the record is of the copy made for {form.name(claim['copy'])}"
+    made = f"made for {form.name(claim['copy'])}"
     if claim["verdict"] != "marked" or claim.get("copy_named") is None:
-        return made
+        return f"the record is of the copy {made}"
     if claim["copy_named"]:
-        return f"the suspect is this copy, or made from it (z {claim['copy_z']:.3g}): {made}"
-    return f"not shown to be this copy (z {claim['copy_z']:.3g}): {made}; tracing asks all copies"
+        return f"{made} (z {claim['copy_z']:.3g})"
+    return f"not shown to be the copy {made} (z {claim['copy_z']:.3g}); tracing asks all copies"
 
 
 def _change(change: float | None) -> str:

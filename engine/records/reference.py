@@ -9,7 +9,7 @@ attribute          grid                                                     kept
 =================  =======================================================  ==========================
 means              power of two, 2^-12 of the 10 % quantile of the largest   any float32
                    axes' standard deviations
-log_scales         2^-8                                                     +-32
+log_scales         2^-10 (2^-8 in version 1)                                 +-32
 quats              q / q_largest in steps of 1/2047                         unit length
 opacity_logits     2^-7                                                     +-16
 sh, DC             2^-9                                                     +-64
@@ -36,8 +36,9 @@ Arrays = dict[str, npt.NDArray[Any]]
 _UInt8 = npt.NDArray[np.uint8]
 _Ints = npt.NDArray[np.int64]
 
-_VERSION = 1
-_LOG_SCALE_STEPS, _LOG_SCALE_LIMIT = 256, 32 * 256 - 1  # steps per unit, largest integer either side
+_VERSION = 2
+# Steps per unit, largest integer either side, by version of the grid: a grain on fine scenes moves log scales by 0.003
+_LOG_SCALES = {1: (256, 32 * 256 - 1), 2: (1024, 32 * 1024 - 1)}
 _LOGIT_STEPS, _LOGIT_LIMIT = 128, 16 * 128 - 1
 _DC_STEPS, _DC_LIMIT = 512, 64 * 512 - 1
 _REST_STEPS, _REST_LIMIT = 256, 128 * 256 - 1
@@ -52,10 +53,10 @@ _BLOCK = 64  # of them, 12 kB, to which columns are written
 _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest", "quats", "rest", "rest_escape")
 
 
-def encode_reference(model: GaussianModel) -> Arrays:
+def encode_reference(model: GaussianModel, version: int = _VERSION) -> Arrays:
     """Canonical arrays of a model, about 78 bytes a Gaussian at SH 3 before compression, about 57 after.
 
-    InputError if the model is empty or holds a NaN or an infinity.
+    The version is that of the grids. InputError if the model is empty or holds a NaN or an infinity.
     """
     if len(model) == 0:
         raise InputError("an empty model cannot be a reference")
@@ -63,8 +64,9 @@ def encode_reference(model: GaussianModel) -> Arrays:
         array = getattr(model, name)
         if not (math.isfinite(array.min()) and math.isfinite(array.max())):  # NaN comes through min and max
             raise InputError(f"{name} of the reference is not finite")
-    scales = _round(model.log_scales, _LOG_SCALE_STEPS, _LOG_SCALE_LIMIT)
-    exponent = _mean_exponent(scales, float(np.abs(model.means).max()))
+    steps, limit = _LOG_SCALES[version]
+    scales = _round(model.log_scales, steps, limit)
+    exponent = _mean_exponent(scales / steps, float(np.abs(model.means).max()))
     means = np.rint(model.means * 2.0**-exponent).astype(np.int64)
     base = means.min(axis=0)
     largest, quats = _encode_quats(model.quats)
@@ -72,9 +74,9 @@ def encode_reference(model: GaussianModel) -> Arrays:
     rest, escape = _encode_rest(model.sh)
     logits = _round(model.opacity_logits[:, None], _LOGIT_STEPS, _LOGIT_LIMIT)
     return {
-        "grid": np.array([_VERSION, len(model), model.sh_degree, exponent, *base], dtype=np.int64),
+        "grid": np.array([version, len(model), model.sh_degree, exponent, *base], dtype=np.int64),
         "means": _to_planes(means - base),
-        "log_scales": _to_planes(scales + _LOG_SCALE_LIMIT),
+        "log_scales": _to_planes(scales + limit),
         "quats": _to_planes(quats + _QUAT_STEPS),
         "quat_largest": largest,
         "opacity_logits": _to_planes(logits + _LOGIT_LIMIT),
@@ -96,17 +98,18 @@ def decode_reference(arrays: Mapping[str, npt.NDArray[Any]]) -> GaussianModel:
         raise MalformedRecordError("the grid of the reference is malformed")
     version, n, degree, exponent, *base = (int(v) for v in grid)
     sound = n >= 1 and 0 <= degree <= 3 and -300 <= exponent <= 128 and max(map(abs, base)) <= _MEAN_LIMIT
-    if version != _VERSION or not sound:
+    if version not in _LOG_SCALES or not sound:
         raise MalformedRecordError(f"the grid of the reference is out of range: {grid.tolist()}")
     means = _from_planes(arrays, "means", (3, n), 2 * _MEAN_LIMIT, np.array(base), 2.0**exponent)
     if not np.abs(means).max() < np.finfo(np.float32).max:
         raise MalformedRecordError("means of the reference are out of range")
     sh = np.empty((n, (degree + 1) ** 2, 3), dtype=np.float32)
     _decode_rest(arrays["rest"], arrays["rest_escape"], sh)
+    steps, limit = _LOG_SCALES[version]
     sh[:, 0] = _from_planes(arrays, "dc", (3, n), 2 * _DC_LIMIT, -_DC_LIMIT, 1.0 / _DC_STEPS)
     return GaussianModel(
         means,
-        _from_planes(arrays, "log_scales", (3, n), 2 * _LOG_SCALE_LIMIT, -_LOG_SCALE_LIMIT, 1.0 / _LOG_SCALE_STEPS),
+        _from_planes(arrays, "log_scales", (3, n), 2 * limit, -limit, 1.0 / steps),
         _decode_quats(
             arrays["quat_largest"], _from_planes(arrays, "quats", (3, n), 2 * _QUAT_STEPS, -_QUAT_STEPS, 1.0)
         ),
@@ -130,11 +133,11 @@ def _round(values: npt.NDArray[np.float32], steps: int, limit: int) -> npt.NDArr
     return k
 
 
-def _mean_exponent(scales: npt.NDArray[np.int32], reach: float) -> int:
+def _mean_exponent(scales: npt.NDArray[np.float64], reach: float) -> int:
     """log2 of the grid of the means. Follows from the *rounded* log scales, so decoding does not move it."""
     largest = scales.max(axis=1)
     rank = len(largest) // 10
-    small = int(np.partition(largest, rank)[rank]) / _LOG_SCALE_STEPS  # natural logarithm of a deviation
+    small = float(np.partition(largest, rank)[rank])  # natural logarithm of a deviation
     exponent = math.floor(small / math.log(2)) - _MEAN_STEPS_LOG2
     # At most 2^52 steps either side, so that one stray Gaussian does not coarsen the grid of all others.
     # Where even this binds, the farthest mean, of 24 bits, is not rounded at all: decoding keeps the grid.

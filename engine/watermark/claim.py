@@ -144,7 +144,8 @@ class Claim:
     # z of the layer by which this copy differs from others, tries counted in `copy_named`; None where there is no such
     # layer: of records before format 3, whose claim is about one copy, and of models marked for nobody
     copy_z: float | None = None
-    # Whether it is this copy, or made from it, at the rate that applies; None where `copy_z` is
+    # Whether it is this copy, or made from it, at CHANCE_RATE: which recipient it was is asked of an asset that is the
+    # owner's already. None where `copy_z` is
     copy_named: bool | None = None
 
     @property
@@ -232,7 +233,7 @@ def decide(
     missing = ""
     if verdict is Verdict.INCONCLUSIVE:
         enough = strength >= config.power or doubtful
-        if doubtful and z == loudest:  # the evidence itself says what a mark would give
+        if doubtful and z > (1.0 - 1e-9) * loudest:  # the evidence itself says what a mark would give
             missing = _more((threshold / z) ** 2)
         elif not sums.expected_z > 0:
             missing = "no part of the asset could be measured in the suspect"
@@ -275,7 +276,7 @@ def decide(
         notes=known.notes,
         layers=None if known.layers is None else dict(known.layers),
         copy_z=known.copy_z,
-        copy_named=None if known.copy_z is None else known.copy_z >= threshold,
+        copy_named=None if known.copy_z is None else known.copy_z >= z_threshold(CHANCE_RATE, tries),
     )
 
 

@@ -12,10 +12,10 @@ from engine.lab.evaluate.marked_scene import MarkedScene
 
 
 def test_every_record_along_every_route_at_every_place_is_a_try() -> None:
-    assert count_tries(3, ("model", "render"), VerifyConfig()) == 18
-    assert count_tries(3, ("model",), VerifyConfig(), places=4) == 36
+    assert count_tries(3, ("model", "render"), VerifyConfig()) == 27
+    assert count_tries(3, ("model",), VerifyConfig(), places=4) == 72
     assert count_tries(3, ("model",), VerifyConfig(tries=1000)) == 1000
-    assert count_tries(3, ("model",), VerifyConfig(tries=2)) == 9, "a caller cannot count less than there is"
+    assert count_tries(3, ("model",), VerifyConfig(tries=2)) == 18, "a caller cannot count less than there is"
 
 
 def test_routes_are_those_of_the_suspects_kind(scene: MarkedScene) -> None:

@@ -159,8 +159,8 @@ def test_fine_tuning_on_clean_images_keeps_every_bit(scene: MarkedScene) -> None
 def test_tries_of_the_whole_question_count_in_every_bound(scene: MarkedScene) -> None:
     alone = verify_model(scene.marked, scene.opened).claim
     among = verify_model(scene.marked, scene.opened, VerifyConfig(tries=200)).claim
-    assert (alone.tries, among.tries) == (6, 200)
-    assert among.log10_false_claim == pytest.approx(alone.log10_false_claim + np.log10(200 / 6))
+    assert (alone.tries, among.tries) == (9, 200)
+    assert among.log10_false_claim == pytest.approx(alone.log10_false_claim + np.log10(200 / 9))
     assert among.z_threshold > alone.z_threshold
     with pytest.raises(InputError, match="at least one"):
         VerifyConfig(tries=0)
@@ -225,10 +225,11 @@ def test_derivation_says_how_much_how_exactly_and_where(scene: MarkedScene) -> N
 
 @pytest.mark.parametrize("wrong", [0.05, 0.15, 0.3])
 def test_a_mark_that_was_taken_out_by_a_guess_is_not_called_absent(scene: MarkedScene, wrong: float) -> None:
-    """He guesses most signs, and subtracts as much as takes all of Z; where he guessed wrong he leaves his trace."""
+    """He guesses most signs, and all sizes, and subtracts as much as takes all of Z; where he guessed wrong he leaves
+    his trace."""
     opened, tint = scene.opened, scene.opened.layout.chips
-    signs = opened.spreading_of(tint + opened.grain.chips(len(opened.reference))).signs(opened.message)
-    guess = np.where(np.random.default_rng(1).random(len(signs)) < wrong, -1.0, 1.0) * signs / (1 - 2 * wrong)
+    values = opened.spreading_of(tint + opened.grain.chips(len(opened.reference))).values(opened.message)
+    guess = np.where(np.random.default_rng(1).random(len(values)) < wrong, -1.0, 1.0) * values / (1 - 2 * wrong)
     step = opened.layout.displace(opened.strength * opened.layout.amplitudes * guess[:tint])
     colorless = scene.marked.with_(sh=add_dc(scene.marked.sh, -step))
     cleaned = roughen(colorless, opened.grain, -guess[tint:].reshape(-1, 6).astype(np.float32))

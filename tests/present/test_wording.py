@@ -161,16 +161,25 @@ def test_which_rate_applied_and_why() -> None:
     assert words_of(between, PLAIN).finding.startswith("This would be a claim if")
 
 
-def test_no_mark_is_no_acquittal() -> None:
-    """A stolen copy from which the mark was taken reads as what it is: derived."""
-    words = words_of(report("not_marked", log10_false_claim=0.0), PLAIN, suspect="s")
-    assert words.finding.startswith("s is derived from your asset")
-    assert words.headline.startswith("Derived")
+def test_what_equals_the_original_is_called_that_and_acquits_nobody() -> None:
+    words = words_of(report("not_marked", log10_false_claim=0.0, change=0.04), PLAIN, suspect="s")
+    assert words.finding.startswith("s equals your unmarked original")
+    assert "computed from marked copies" in words.finding
     text = text_of(words)
     assert "acquits nobody" in text
+    assert "removed" not in text
     assert "no better than chance" in text
     check = {each["code"]: each for each in checks_of(report("not_marked"), None)}
     assert (check["derived"]["ok"], check["mark"]["ok"]) == (True, False)
+
+
+@pytest.mark.parametrize(("named", "z"), [(True, 70.0), (False, 0.3), (None, None)])
+def test_a_copy_is_named_where_it_was_read(named: bool | None, z: float | None) -> None:
+    """The owner's layer is in all copies: a claim that rests on it names none by itself."""
+    words = words_of(report("marked", copy="acme", copy_named=named, copy_z=z), PLAIN)
+    assert ("the copy made for 'acme'" in words.finding) == (named is not False)
+    (copy,) = [fact.text for fact in words.facts if fact.label == "copy"]
+    assert ("not shown to be the copy" in copy) == (named is False)
 
 
 NOTHING = {"derived": False, "share": 0.0, "gaussians": 0, "exactness": None, "where": None, "views": None}

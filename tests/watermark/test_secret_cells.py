@@ -23,9 +23,9 @@ def public(count: int = 8_000) -> tuple[GaussianModel, Stage, Float64, Float64]:
     return model, stage, group_means(cell_features(model, 3.0), stage.labels, weights).astype(np.float64), weights
 
 
-def joined(copy: str = "a", asset: bytes = b"x" * 32, count: int = 256) -> Stage:
+def joined(use: str = "a", asset: bytes = b"x" * 32, count: int = 256, *, blurred: bool = False) -> Stage:
     model, stage, features, weights = public()
-    return join_cells(stage, features, model, weights, count, cells_key(KEY, asset, copy))
+    return join_cells(stage, features, model, weights, count, cells_key(KEY, asset, use), blurred=blurred)
 
 
 def same_share(one: Stage, other: Stage) -> float:
@@ -53,7 +53,17 @@ def test_each_code_vector_is_a_few_whole_neighbouring_cells() -> None:
     np.testing.assert_allclose(made.codebook[5], mean, rtol=1e-3, atol=1e-5)
 
 
-def test_nobody_joins_as_another_copy_does() -> None:
+def test_blurred_cells_have_no_border_along_a_public_one() -> None:
+    """Gaussians of one public cell belong to several, all of them near."""
+    _, stage, features, _ = public()
+    made = joined("copies", blurred=True)
+    several = [len(np.unique(made.labels[stage.labels == cell])) for cell in range(0, 1024, 37)]
+    assert np.mean(several) > 2.0
+    spread = np.array([features[stage.labels[made.labels == k]].std(axis=0).sum() for k in range(len(made.codebook))])
+    assert np.median(spread) < 0.6 * features.std(axis=0).sum()
+
+
+def test_cells_of_another_use_are_others() -> None:
     assert np.array_equal(joined("a").labels, joined("a").labels)
     assert same_share(joined("a"), joined("a")) == 1.0
     assert same_share(joined("a"), joined("b")) < 0.6

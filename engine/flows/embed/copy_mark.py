@@ -13,7 +13,7 @@ import numpy as np
 
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
-from engine.flows.records.opened_record import Drawn, OpenedRecord, PlanParts, draw_copy, draw_owner, plan_of
+from engine.flows.records.opened_record import Drawn, Layers, OpenedRecord, PlanParts, draw_copy, draw_owner, plan_of
 from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -44,17 +44,9 @@ class Committed:
 
     def plan(self, model: GaussianModel, settled: Settled, draw: int = 0) -> PlanParts:
         """The plan of one copy's draw."""
-        return plan_of(
-            settled.plan.layout,
-            settled.grain,
-            self.message,
-            self.cameras,
-            self.landmarks,
-            self.commitments,
-            antialiased=model.antialiased,
-            copies=settled.copies,
-            draw=draw,
-        )
+        layers = Layers(settled.plan.layout, settled.grain, settled.copies, draw)
+        promised = self.message, self.cameras, self.landmarks, self.commitments
+        return plan_of(layers, *promised, antialiased=model.antialiased)
 
 
 @dataclass(frozen=True, eq=False)

@@ -243,7 +243,7 @@ def _check_shared(earlier: Record, plan: PlanParts, asset: Asset) -> None:
     if header.format_version < 3 or (same and all(np.array_equal(earlier.plan_arrays[n], arrays[n]) for n in arrays)):
         return
     raise InputError(
-        f"this model was marked before (copy {earlier.copy!r}) with other settings: two watermarks of yours on one model"
+        f"this model was marked before (copy {earlier.copy!r}) with other settings: two watermarks of yours on a model"
         " give each other away to whoever compares the files. Take the same settings, message and program version, and"
         " either a recipient's name for every copy or none at all"
     )

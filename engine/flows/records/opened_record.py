@@ -96,28 +96,33 @@ class OpenedRecord:
         return self.copies.spreading(self.copy_key, self.kept, self._committed)
 
 
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """A settled mark, before its chips."""
+
+    layout: Layout  # of the owner's tint
+    grain: Grain  # the owner's
+    copies: CopyLayer | None = None
+    draw: int = 0  # which of a copy's draws it is: all that copies of an asset differ in here
+
+
 def plan_of(
-    layout: Layout,
-    grain: Grain,
+    layers: Layers,
     message: Signs,
     cameras: Sequence[Camera],
     landmarks: Landmarks | None,
     commitments: Mapping[str, str] | None = None,
     *,
     antialiased: bool = False,
-    copies: CopyLayer | None = None,
-    draw: int = 0,
 ) -> PlanParts:
-    """What a record commits to before any chip is drawn: JSON values and arrays.
-
-    All of it but `draw`, which of a copy's draws it is, is the same for all copies of an asset.
-    """
+    """What a record commits to before any chip is drawn: JSON values and arrays."""
+    layout, grain, copies = layers.layout, layers.grain, layers.copies
     plan: Json = {"message": message_hex(message), "codes": list(layout.codes)}
     if grain.there:
         plan["grain"] = asdict(grain)
     if copies is not None:
         own = {"grain": asdict(copies.grain)} if copies.grain.there else {}
-        plan["copies"] = {"codes": copies.layout.codes[0], "draw": draw, **own}
+        plan["copies"] = {"codes": copies.layout.codes[0], "draw": layers.draw, **own}
     if commitments:
         plan["commitments"] = dict(commitments)
     if antialiased:  # how the reference is drawn

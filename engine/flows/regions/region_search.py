@@ -128,7 +128,8 @@ def locate_mark(
     tries = found.claim.tries * len(said)
     pieces = []
     for registered, evidence in said:
-        signs = opened.spreading_of(len(evidence[0].y)).signs(opened.message)
+        spreading = opened.spreading_of(len(evidence[0].y))
+        signs, evidence = spreading.signs(opened.message), [each.sized(spreading.sizes) for each in evidence]
         z = max(layered_z(each, signs, tint).best for each in evidence)
         held = None if registered is None else _held(registered, len(opened.reference))
         if held is None:

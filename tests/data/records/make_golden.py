@@ -17,7 +17,7 @@ from engine.records.reference import encode_reference
 from engine.watermark.keys import OwnerKey
 
 KEY = OwnerKey(bytes(range(32)))
-PATHS = {version: Path(__file__).with_name(f"golden_v{version}.m3dr") for version in (1, 2)}
+PATHS = {version: Path(__file__).with_name(f"golden_v{version}.m3dr") for version in (1, 2, 3)}
 BESIDE = Path(__file__).with_name("golden_v1_beside.m3dr")
 
 
@@ -34,7 +34,7 @@ def golden_record(version: int = 1) -> Record:
     """A record with something in every part of it."""
     record = Record.make(
         KEY,
-        encode_reference(golden_model()),
+        encode_reference(golden_model(), 1 if version < 3 else 2),
         original_digest="ab" * 32,
         plan={"message": "deadbeef", "codes": [4, 2], "profile": "fast", "psnr_db": 47.5},
         plan_arrays={

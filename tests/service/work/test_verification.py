@@ -86,7 +86,7 @@ def test_the_right_one_of_several_and_all_tries_count(verify: Ask, marked: Marke
     reply = verify(model=str(suspect), candidates=candidates)
     assert reply["asset"] == "mine"
     assert [each["asset"] for each in reply["tried"]] == ["stolen", "mine"]
-    assert (alone["tries"], reply["tries"], reply["claim"]["tries"]) == (6, 12, 12)
+    assert (alone["tries"], reply["tries"], reply["claim"]["tries"]) == (9, 18, 18)
     worse = reply["claim"]["log10_false_claim"] - alone["claim"]["log10_false_claim"]
     assert worse == pytest.approx(math.log10(2), abs=1e-6)
 
@@ -98,7 +98,7 @@ def test_stopping_at_the_first_is_a_choice(verify: Ask, marked: Marked) -> None:
     late = verify(model=model, candidates=candidates, route="model", stop_at_first=False)
     assert [each["asset"] for each in soon["tried"]] == ["one"]
     assert [each["asset"] for each in late["tried"]] == ["one", "two"]
-    assert soon["claim"]["tries"] == late["claim"]["tries"] == 6  # the bar was set before either was looked at
+    assert soon["claim"]["tries"] == late["claim"]["tries"] == 12  # the bar was set before either was looked at
 
 
 def test_without_candidates_there_is_nothing_to_say(verify: Ask) -> None:
@@ -143,6 +143,7 @@ def test_the_map_is_the_engines_and_the_claim_counts_its_regions(verify: Ask, ma
     orange = np.asarray(Image.open(tmp_path / "heatmap.png"), dtype=np.int64)
     assert (orange[..., 0] > 2 * orange[..., 2] + 20).mean() > 0.1
     unmarked = verify(model=str(marked.original))["regions"]
-    assert (unmarked["marked"], unmarked["altered"]) == (0, said["marked"])
+    assert unmarked["marked"] == 0
+    assert unmarked["altered"] > 0.95 * said["marked"]
     drawn = np.asarray(Image.open(tmp_path / "heatmap.png"), dtype=np.int64)
     assert (drawn[:480, :, 0] > 2 * drawn[:480, :, 2] + 20).mean() < 1e-3
