@@ -135,7 +135,7 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("message read", f"{bits}; {_sureness(claim)}", leading=True))
     found.append(Fact("derived", derivation_text(claim["derivation"]), leading=True))
     if claim["verdict"] == "not_marked":
-        found.append(Fact("against the original", _change(claim.get("change")), leading=True))
+        found.append(Fact("difference", _change(claim.get("change")), leading=True))
         found.append(Fact("detection power", _power(claim["power"]), leading=True))
     if claim["missing"]:
         found.append(Fact("missing", claim["missing"], leading=True))
@@ -170,7 +170,7 @@ def _copy(claim: Mapping[str, Any], form: Form) -> str:
 
 def _change(change: float | None) -> str:
     """How far a suspect lies from the unmarked original, in sizes of what the watermark would have changed."""
-    return "equal to rounding" if change is None else f"differs by {percent(change)} of what the watermark changes"
+    return "not measured" if change is None else f"{percent(change)} of what the watermark would change"
 
 
 def _sureness(claim: Mapping[str, Any]) -> str:

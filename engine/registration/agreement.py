@@ -24,6 +24,12 @@ CLIPPED = 0.001
 """Share of the reference's Gaussians smaller than the suspect's smallest from which sizes are believed clipped."""
 ORDER_ROUNDS = 4
 """Rounds of measuring errors on the pairs in order that agree; where half are wrong, the first is far too large."""
+AROUND = 8
+"""Places up or down an order in which a namesake may stand."""
+FAR_MORE_ALIKE = 0.05
+"""Of the squared difference in looks; by chance one in some hundred neighbors is."""
+MOVED_UP = 0.3
+"""Share of such rows beyond which the order was not kept."""
 STRAYS = 0.001
 """Share of pairs in order without trust that are not searched elsewhere: laying the reference out costs most time."""
 DECOYS = 3
@@ -217,6 +223,8 @@ def same_order(
     looks = [yes for yes, counts in zip(agrees[1:], informative[1:], strict=True) if counts]
     if not (informative[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
         return None
+    if _moved_up(reference, suspect, rows) > MOVED_UP:
+        return None
     before = 0
     for _ in range(ORDER_ROUNDS):
         agreeing = rows[_order_quality(ref, sus, fit, deviations) > 0]
@@ -231,6 +239,29 @@ def same_order(
     strays = float((quality == 0).mean())
     matcher = None if strays <= STRAYS else Matcher(reference, deviations)
     return Verdict(fit, matcher, deviations, quality)
+
+
+def _moved_up(reference: GaussianModel, suspect: GaussianModel, rows: npt.NDArray[np.int64]) -> float:
+    """Share of rows of which a neighbor in the reference's order looks far more alike than their namesake.
+
+    A file sorted along a curve, and sorted again after every center moved a little, keeps its order but for a few
+    places everywhere: namesakes then lie near each other and look alike, as a noisy copy's do.
+    """
+    theirs = _own_looks(suspect, rows)
+    apart = np.square(_own_looks(reference, rows) - theirs).sum(axis=1)
+    nearest = np.full(len(rows), np.inf)
+    for step in (*range(-AROUND, 0), *range(1, AROUND + 1)):
+        beside = rows + step
+        inside = (beside >= 0) & (beside < len(reference))
+        gap = np.square(_own_looks(reference, np.where(inside, beside, 0)) - theirs).sum(axis=1)
+        nearest = np.where(inside, np.minimum(nearest, gap), nearest)
+    return float((nearest < FAR_MORE_ALIKE * apart).mean())
+
+
+def _own_looks(model: GaussianModel, rows: npt.NDArray[np.int64]) -> Float32:
+    """(n, 7) sorted log scales, opacity logit and DC colors of some rows."""
+    sizes = np.sort(model.log_scales[rows], axis=1)
+    return np.concatenate([sizes, model.opacity_logits[rows, None], model.sh[rows, 0]], axis=1)
 
 
 def _order_quality(

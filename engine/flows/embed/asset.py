@@ -28,6 +28,7 @@ from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.header import Arrays
 from engine.records.record import Record, this_version
 from engine.watermark.keys import OwnerKey
+from engine.watermark.lattice import FREE, Lattices, find_lattices
 from engine.watermark.masses import find_masses
 from engine.watermark.messages import derive_message
 from engine.watermark.planning import Plan, make_plan
@@ -65,7 +66,13 @@ class Asset:
     @cached_property
     def grained(self) -> Grained:
         """The grain at its strength, which no chip decides."""
-        return settle_grain(self.delivery.views, self.settings, self.terms.variant)
+        return settle_grain(self.delivery.views, self.settings, self.terms.variant, self.lattices)
+
+    @cached_property
+    def lattices(self) -> Lattices:
+        """On which the values of the unmarked model lie, where Gaussians may be moved one by one."""
+        free = self.terms.variant.labels is None and self.settings.output == "fidelity"
+        return find_lattices(self.delivery.model) if free else FREE
 
     def owner_mark(self, *, copied: bool) -> tuple[OwnerMark, Committed]:
         """What all copies share, where it leaves room for a copy layer or not; and what their records commit to."""
@@ -81,7 +88,8 @@ class Asset:
         committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments)
         wanted = Fidelity(settings.psnr_db + (COPY_MARGIN_DB if copied else 0.0), settings.ssim)
         at_view = terms.variant.at_view
-        made = make_owner_mark(views, settled, self.key, committed, wanted, ground.picture_scale, at_view)
+        pixels = ground.picture_scale
+        made = make_owner_mark(views, settled, self.key, committed, wanted, pixels, at_view, self.lattices)
         return made, committed
 
     def _plan(self, copied: bool) -> Plan:

@@ -19,6 +19,7 @@ from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
+from engine.watermark.lattice import FREE, Lattices
 from engine.watermark.messages import Signs
 from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
 from engine.watermark.spreading import ONE_BIT, public_values, signed_amplitudes, spread_grain
@@ -59,6 +60,7 @@ class OwnerMark:
     tint: Float32  # (N, D) displacement of the colours
     rough: Float64 | None  # (6 N,) displacement of centres and sizes, in their units; None without a grain
     model: GaussianModel  # with this layer alone
+    lattices: Lattices  # of the unmarked model's values, on which those of a marked one stay
     fidelity: Fidelity  # worst view, against the unmarked model as delivered
     capacity: int  # bits that a model carries
     pictured: int  # and one picture of it
@@ -82,6 +84,7 @@ def make_owner_mark(
     wanted: Fidelity,
     pixels: Float64,
     at_view: AtView | None,
+    lattices: Lattices = FREE,
 ) -> OwnerMark:
     """Mark the model of these views with what all of its copies share.
 
@@ -109,17 +112,19 @@ def make_owner_mark(
             chips = spread_grain(drawn.grain_key, len(model), bits, sized=True)
             rough = grain.displacements(chips.values(committed.message))
         tint = plan.layout.displace(signed)
-        marked = displaced(model, tint, rough)
+        dither = drawn.lattice_key
+        marked = lattices.onto(model, displaced(model, tint, rough), dither)
         seen = marked
         if copies is not None:  # as a copy will be, but for values that are not its own
             usual = copies.layout.displace(copies.layout.amplitudes * public_values(copies.layout.chips))
             own = copies.grain.displacements(public_values(copies.grain.chips(len(model))))
-            seen = displaced(model, tint + usual, _sum(rough, own if copies.grain.there else None))
+            own_too = displaced(model, tint + usual, _sum(rough, own if copies.grain.there else None))
+            seen = lattices.onto(model, own_too, dither)
         fidelity = measure(views, seen, at_view)
         if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
         settled = settled.lowered(fidelity, wanted)
-    return OwnerMark(settled, drawn, signed, tint, rough, marked, fidelity, capacity, pictured)
+    return OwnerMark(settled, drawn, signed, tint, rough, marked, lattices, fidelity, capacity, pictured)
 
 
 def make_mark(
@@ -139,12 +144,13 @@ def make_mark(
     best: Mark | None = None
     for draw in range(COPY_DRAWS):
         plan = committed.plan(model, settled, draw)
-        chips = copies.spreading(draw_copy(key, committed.asset, copy, plan), None, len(model))
-        values = chips.values(ONE_BIT)
+        secret = draw_copy(key, committed.asset, copy, plan)
+        values = copies.spreading(secret, None, len(model)).values(ONE_BIT)
         tint, grain = values[: copies.layout.chips], values[copies.layout.chips :]
         copied = copies.layout.displace(copies.layout.amplitudes * tint)
         rough = copies.grain.displacements(grain) if copies.grain.there else None
         marked = displaced(model, owner.tint + copied, _sum(owner.rough, rough))
+        marked = owner.lattices.onto(model, marked, secret)
         made = Mark(marked, plan, copied, measure(views, marked, at_view))
         if best is None or made.fidelity.room_to(wanted) > best.fidelity.room_to(wanted):
             best = made
@@ -155,7 +161,8 @@ def make_mark(
 
 
 def mark_again(opened: OpenedRecord) -> GaussianModel:
-    """A record's marked model, drawn again: what was delivered but for the rounding of its file's format."""
+    """A record's marked model, drawn again: what was delivered but for rounding, to the original's lattice and by its
+    file's format."""
     tint, rough = owner_displacements(opened)
     if opened.copies is not None:
         copies = opened.copies

@@ -22,7 +22,8 @@ from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
 from engine.watermark.copy_layer import CopyLayer
-from engine.watermark.grain import ATTRIBUTES, Grain, roughen
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen, units
+from engine.watermark.lattice import FREE, Lattices
 from engine.watermark.planning import Plan, scaled
 from engine.watermark.spreading import public_signs, public_values
 
@@ -137,6 +138,8 @@ GRAIN_ROOM_DB = 6.0
 takes away is evidence of pictures."""
 GRAIN_SSIM_SHARE = 0.25
 """Of what SSIM may lose; SSIM sees moved edges sooner than squared error does."""
+SAMPLE = 10_000
+"""Gaussians whose sizes are looked at."""
 GRAIN_ROUNDS = 4
 """Most measurements of the grain."""
 LEAST_GROWTH = 0.3
@@ -226,13 +229,23 @@ def _aim(config: EmbedConfig) -> Fidelity:
     return Fidelity(config.psnr_db + MARGIN_DB, config.ssim)
 
 
-def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN) -> Grained:
+COARSE = 2.0
+"""Steps of a lattice, in the grain's own, beyond which an attribute carries none: rounding would cost more of the
+fidelity than the grain, and show in every reading as noise."""
+
+
+def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN, lattices: Lattices = FREE) -> Grained:
     """The grain that was asked for, or as much of it as its part of the budget allows, and what that costs as measured.
 
     There is none where neither centres nor sizes have room for it.
     """
     wanted, model, at_view = _aim(config), views.model, variant.at_view
-    grain = Grain(config.plan.grain_center * variant.free_centers, config.plan.grain_scale * variant.free_sizes)
+    center, scale = config.plan.grain_center * variant.free_centers, config.plan.grain_scale * variant.free_sizes
+    size = float(np.median(units(model.log_scales[:: max(1, len(model) // SAMPLE)])))
+    grain = Grain(
+        center if lattices.step("means") <= COARSE * center * size else 0.0,
+        scale if lattices.step("log_scales") <= COARSE * scale else 0.0,
+    )
     if not grain.there:
         return Grained(NO_GRAIN, Fidelity(np.inf, 1.0))
     signs = public_signs(ATTRIBUTES * len(model)).astype(np.float32).reshape(-1, ATTRIBUTES)
@@ -241,7 +254,8 @@ def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN) 
     tried: list[tuple[float, float, Fidelity]] = []  # factor, log of what it may be multiplied with, what was found
     chosen = list(range(len(views.cameras)))
     for _ in range(GRAIN_ROUNDS):
-        each = measure_each(views, roughen(model, grain.times(factor), signs), at_view, chosen)
+        rough = lattices.onto(model, roughen(model, grain.times(factor), signs), bytes(32))
+        each = measure_each(views, rough, at_view, chosen)
         found = worst_of(each)
         if not tried:  # the views that show it worst decide, and are enough from then on
             chosen = sorted({each.index(min(each, key=lambda view: view.psnr_db)), each.index(min(each, key=_ssim))})

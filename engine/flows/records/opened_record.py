@@ -27,7 +27,7 @@ from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.copy_layer import CopyLayer
 from engine.watermark.grain import ATTRIBUTES, Grain
-from engine.watermark.keys import COPY, OwnerKey
+from engine.watermark.keys import COPY, LATTICE, OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
 from engine.watermark.rates import Attested
@@ -163,6 +163,7 @@ class Drawn:
     tint: Spreading  # bits and chips of the owner's tint
     grain_key: bytes = field(repr=False)  # of the owner's grain
     copy_key: bytes = field(repr=False)  # of the copy layer
+    lattice_key: bytes = field(default=b"", repr=False)  # of the dither with which marked values are rounded
 
 
 def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: PlanParts) -> Drawn:
@@ -174,7 +175,7 @@ def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: Pla
     context = chip_context(reference_digest, asset_id)
     bits = 4 * len(shared["message"])
     tint = spread(key, context, layout.codes, len(layout.directions[0]), bits, sized=True)
-    return Drawn(tint, grain_key(key, context), b"")
+    return Drawn(tint, grain_key(key, context), b"", key.derive(LATTICE, context))
 
 
 def draw_copy(key: OwnerKey, reference_digest: bytes, copy: str, plan: PlanParts) -> bytes:

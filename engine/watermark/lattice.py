@@ -1,0 +1,247 @@
+"""The lattices on which an original's values lie, and marked values put back on them (DESIGN 4.5).
+
+A trained model that went through a byte format has few values of each attribute, or evenly spaced ones. A mark that
+moved them in between would lie open: the distance to the nearest lattice value is the mark. So marked values lie on the
+same lattice, by stochastic rounding whose dither follows from the key: on average each is where the plan wants it.
+
+Lattices are found in the values themselves, column by column, since nobody says through which formats a file went:
+
+- a *table*: few distinct values (bytes of `.splat`, of 8-bit trainers, of `.spz`; codebooks of `.sog`);
+- *even* steps, plain (24-bit centres of `.spz`) or of sign(x) log(1 + |x|) (16-bit centres of `.sog`);
+- *chunks*: even steps between the least and the largest of 256 rows in turn (compressed PLY).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from engine.model import Float32, Float64, GaussianModel
+from engine.watermark.keys import uniform
+
+__all__ = ["Lattices", "find_lattices"]
+
+FEW = 1.0 / 3.0
+"""Distinct values, in rows, up to which they are a table."""
+CHUNK = 256
+"""Rows of a chunk."""
+CHUNK_LEVELS = (2047, 1023, 255)
+"""Steps between the least and the largest value of a chunk."""
+FINEST = 2.0**-21
+"""Step of an even lattice, in its largest value, below which floats themselves are no coarser."""
+OFF = 0.05
+"""How far, in steps and on average, values of a lattice lie from it by rounding: by chance it is a quarter."""
+LEAST_ROWS = 64
+"""Rows below which nothing is found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """The distinct values themselves, in order."""
+
+    values: Float64  # (K,)
+
+    def places(self, values: Float32) -> Float64:
+        """(N,) where values lie: whole numbers on the lattice."""
+        return np.asarray(np.interp(values, self.values, np.arange(len(self.values))))
+
+    def values_at(self, places: Float64) -> Float32:
+        """(N,) values at whole places, the last one where a place is outside."""
+        rows = np.clip(places, 0, len(self.values) - 1).astype(np.int64)
+        return np.asarray(self.values[rows], dtype=np.float32)
+
+    @property
+    def step(self) -> float:
+        """A usual step."""
+        return float(np.median(np.diff(self.values))) if len(self.values) > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Even:
+    """Even steps, in the values or in their signed logarithm; in all of a column, or by chunks."""
+
+    origin: Float64  # () or (N,)
+    spacing: Float64  # the same; 0 where a chunk has one value
+    most: Float64  # last whole place, the same; the first is 0
+    logarithmic: bool = False
+
+    def places(self, values: Float32) -> Float64:
+        """As of `Table`."""
+        at = _signed_log(values) if self.logarithmic else values.astype(np.float64)
+        gap = at - self.origin
+        return np.asarray(np.divide(gap, self.spacing, out=np.zeros_like(gap), where=self.spacing > 0))
+
+    def values_at(self, places: Float64) -> Float32:
+        """As of `Table`."""
+        at = self.origin + self.spacing * np.clip(places, 0, self.most)
+        return np.asarray(np.sign(at) * np.expm1(np.abs(at)) if self.logarithmic else at, dtype=np.float32)
+
+    @property
+    def step(self) -> float:
+        """A usual step; of a logarithm that of small values."""
+        return float(np.median(self.spacing))
+
+
+Lattice = Table | Even
+
+
+@dataclass(frozen=True, eq=False)
+class Lattices:
+    """Of each marked attribute, column by column; None where a column has none."""
+
+    columns: dict[str, tuple[Lattice | None, ...]] = field(default_factory=dict)
+
+    @property
+    def there(self) -> bool:
+        """Whether any column has one."""
+        return any(each is not None for columns in self.columns.values() for each in columns)
+
+    def step(self, name: str) -> float:
+        """The usual step of an attribute's coarsest column, in its own units; 0 where values are free."""
+        return max((each.step for each in self.columns.get(name, ()) if each is not None), default=0.0)
+
+    def onto(self, original: GaussianModel, wanted: GaussianModel, subkey: bytes) -> GaussianModel:
+        """The wanted model with every value that was moved on the original's lattice, on average where it was wanted.
+
+        Parameters
+        ----------
+        original : GaussianModel
+            In which the lattices were found.
+        wanted : GaussianModel
+            The same Gaussians, displaced.
+        subkey : bytes
+            32 bytes, from which the dither follows.
+        """
+        if not self.there:
+            return wanted
+        changed = {}
+        for name, columns in self.columns.items():
+            before, after = _columns(original, name), _columns(wanted, name)
+            rounded = after.copy()
+            for k, lattice in enumerate(columns):
+                if lattice is not None:
+                    dither = uniform(subkey, len(before), f"{name[:10]}{k}")
+                    least = 0.0 if name == "dc" else LEAST_MOVE
+                    rounded[:, k] = _round(lattice, before[:, k], after[:, k], dither, least)
+            changed[name] = rounded
+        sh = wanted.sh.copy()
+        sh[:, 0] = changed.get("dc", sh[:, 0])
+        means, log_scales = changed.get("means", wanted.means), changed.get("log_scales", wanted.log_scales)
+        return wanted.with_(means=means, log_scales=log_scales, sh=sh)
+
+
+FREE = Lattices()
+"""Values that may be moved anywhere."""
+
+
+LEAST_MOVE = 0.25
+"""Of a step that a Gaussian's grain must be to be rounded, up or down; below, it stays. A rare whole step says little
+of a small displacement, and shows. Colors are rounded whatever they are: code vectors average over many."""
+
+
+def _round(lattice: Lattice, before: Float32, after: Float32, dither: Float64, least: float) -> Float32:
+    """(N,) values on a lattice; those that were moved by less than `least` steps, or are rounded to where they were,
+    stay bit for bit."""
+    wanted, home = lattice.places(after), np.rint(lattice.places(before))
+    places = np.floor(wanted + dither)
+    moved = (after != before) & (places != home) & (np.abs(wanted - home) >= least)
+    return np.where(moved, lattice.values_at(places), before).astype(np.float32)
+
+
+def find_lattices(model: GaussianModel) -> Lattices:
+    """The lattices on which centres, log scales and DC colours lie."""
+    found = {name: tuple(_find(column) for column in _columns(model, name).T) for name in ("means", "log_scales", "dc")}
+    return Lattices({name: columns for name, columns in found.items() if any(each is not None for each in columns)})
+
+
+def _columns(model: GaussianModel, name: str) -> Float32:
+    return model.sh[:, 0] if name == "dc" else getattr(model, name)
+
+
+def _find(values: Float32) -> Lattice | None:
+    """The lattice of one column (N,)."""
+    values = np.ascontiguousarray(values)
+    distinct = np.unique(values)
+    if len(values) < LEAST_ROWS or len(distinct) < 2 or not np.isfinite(distinct).all():
+        return None
+    if len(distinct) <= FEW * len(values):
+        return Table(distinct.astype(np.float64))
+    plain = _even(distinct.astype(np.float64))
+    if plain is not None:
+        return plain
+    logs = _even(_signed_log(distinct))
+    if logs is not None:
+        return Even(logs.origin, logs.spacing, logs.most, logarithmic=True)
+    return _chunks(values)
+
+
+def _signed_log(values: Float32) -> Float64:
+    exact = values.astype(np.float64)
+    return np.asarray(np.sign(exact) * np.log1p(np.abs(exact)))
+
+
+def _even(values: Float64) -> Even | None:
+    """Even steps through distinct values in order, or None.
+
+    The least gap is a step or a few: more and more gaps are held against it, and the step is fitted to all so far.
+    """
+    gaps = np.diff(values)
+    finest = FINEST * float(np.abs(values).max())
+    clear = gaps[gaps > finest]
+    if len(clear) < LEAST_ROWS // 2:
+        return None
+    least = float(clear.min())
+    for parts in (1, 2, 3):
+        step = _fitted(values, clear, least / parts)
+        if step is None or step < finest:
+            continue
+        places = np.rint((values - values[0]) / step)
+        slope, origin = np.polyfit(places, values, 1)
+        off = np.abs((values - origin) / slope - places)
+        if float(off.mean()) < OFF and float(np.quantile(off, 0.999)) < 0.5:
+            return Even(np.asarray(origin), np.asarray(slope), np.asarray(places[-1]))
+    return None
+
+
+def _fitted(values: Float64, gaps: Float64, step: float) -> float | None:
+    """A step that fits short gaps, then longer and longer stretches; None where it stops to fit."""
+    reach = 8.0 * step
+    for _ in range(64):
+        near = gaps[gaps < reach]
+        counts = np.rint(near / step)
+        if not counts.sum() > 0 or float(np.abs(near / step - counts).mean()) > 2.0 * OFF:
+            return None
+        step = float(near.sum() / counts.sum())
+        if reach > gaps.max():
+            break
+        reach *= 2.0
+    stretch = 64  # gaps add up: each stretch tells the step so much better that the next can be counted
+    while stretch < 4 * len(values):
+        across = values[min(stretch, len(values) - 1) :] - values[: max(1, len(values) - stretch)]
+        across = across[:: max(1, len(across) // 512)]
+        counts = np.rint(across / step)
+        if float(np.abs(across / step - counts).mean()) > 4.0 * OFF:
+            return None
+        step = float(across.sum() / counts.sum())
+        stretch *= 4
+    return step
+
+
+def _chunks(values: Float32) -> Even | None:
+    """Even steps between the least and largest of CHUNK rows in turn, or None."""
+    count = -(-len(values) // CHUNK)
+    padded = np.concatenate([values, np.full(count * CHUNK - len(values), values[-1])]).reshape(count, CHUNK)
+    low, high = padded.min(axis=1).astype(np.float64), padded.max(axis=1).astype(np.float64)
+    wide = high - low
+    inside = wide > 64.0 * np.spacing(np.maximum(np.abs(low), np.abs(high)).astype(np.float32))
+    if inside.sum() < max(1, count // 2) or len(values) < CHUNK:
+        return None
+    share = (padded[inside] - low[inside, None]) / wide[inside, None]
+    for levels in CHUNK_LEVELS:
+        off = np.abs(levels * share - np.rint(levels * share))
+        if float(off.mean()) < OFF:
+            spread = np.repeat(wide / levels, CHUNK)[: len(values)]
+            origin = np.repeat(low, CHUNK)[: len(values)]
+            return Even(origin, spread, np.full(len(values), float(levels)))
+    return None

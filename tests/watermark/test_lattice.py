@@ -1,0 +1,121 @@
+"""Lattices: found in the values alone, and marked values stay on them, on average where they were wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.formats import read_model, write_model
+from engine.model import GaussianModel
+from engine.watermark.lattice import FREE, Even, Lattices, Table, find_lattices
+from tests.watermark.test_grain import blobs
+
+KEY = bytes(range(32))
+TRAIN = Path(__file__).parents[1] / "data" / "train_1000.ply"
+
+
+@pytest.fixture(scope="module")
+def free() -> GaussianModel:
+    return blobs(3_000)
+
+
+def through(model: GaussianModel, kind: str, folder: Path) -> GaussianModel:
+    """The model as a format keeps it, and then as a float PLY says it again."""
+    for name in (f"a.{kind}", "b.ply"):
+        write_model(model, folder / name)
+        model = read_model(folder / name).model
+    return model
+
+
+def kinds(lattices: Lattices) -> dict[str, set[str]]:
+    def kind(lattice: Table | Even | None) -> str:
+        if isinstance(lattice, Even):
+            return "chunks" if lattice.spacing.ndim else "logarithms" if lattice.logarithmic else "steps"
+        return "none" if lattice is None else "table"
+
+    return {name: {kind(each) for each in columns} for name, columns in lattices.columns.items()}
+
+
+FOUND = {
+    "splat": {"dc": {"table"}},
+    "spz": {"means": {"steps"}, "log_scales": {"table"}, "dc": {"table"}},
+    "sog": {"means": {"logarithms"}, "log_scales": {"table"}, "dc": {"table"}},
+    "compressed.ply": {"means": {"chunks"}, "log_scales": {"chunks"}, "dc": {"chunks"}},
+}
+
+
+@pytest.mark.parametrize("kind", FOUND)
+@pytest.mark.parametrize("small", [False, True])
+def test_each_format_leaves_its_lattice(kind: str, small: bool, free: GaussianModel, tmp_path: Path) -> None:
+    model = read_model(TRAIN).model if small else free
+    assert kinds(find_lattices(through(model, kind, tmp_path))) == FOUND[kind]
+
+
+def test_floats_have_none(free: GaussianModel) -> None:
+    assert not find_lattices(free).there
+    assert not find_lattices(read_model(TRAIN).model).there
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        means = rng.normal(0, 10.0 ** rng.uniform(-3, 3), free.means.shape).astype(np.float32)
+        assert not find_lattices(free.with_(means=means)).there
+    assert FREE.onto(free, free.with_(means=means), KEY).means is means
+
+
+def wanted(model: GaussianModel, size: float, seed: int = 0) -> GaussianModel:
+    """Every marked value moved by about so many of its column's typical steps."""
+    rng, found = np.random.default_rng(seed), find_lattices(model)
+    moves = {name: size * found.step(name) * rng.uniform(0.3, 1.0, (len(model), 3)) for name in found.columns}
+    sh = model.sh.copy()
+    sh[:, 0] += moves.get("dc", np.float32(0))
+    return model.with_(
+        means=(model.means + moves.get("means", 0)).astype(np.float32),
+        log_scales=(model.log_scales + moves.get("log_scales", 0)).astype(np.float32),
+        sh=sh.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("kind", FOUND)
+def test_marked_values_stay_on_it(kind: str, free: GaussianModel, tmp_path: Path) -> None:
+    original = through(free, kind, tmp_path)
+    lattices = find_lattices(original)
+    marked = lattices.onto(original, wanted(original, 1.0), KEY)
+    for name, columns in lattices.columns.items():
+        before, after = (each.sh[:, 0] if name == "dc" else getattr(each, name) for each in (original, marked))
+        for k, lattice in enumerate(columns):
+            assert lattice is not None
+            assert (before[:, k] != after[:, k]).mean() > 0.2
+            places = lattice.places(after[:, k])
+            assert np.abs(places - np.rint(places)).max() < 0.1
+            if isinstance(lattice, Table):
+                assert set(after[:, k].tolist()) <= set(before[:, k].tolist())
+
+
+def test_rounding_is_on_average_where_it_was_wanted(free: GaussianModel, tmp_path: Path) -> None:
+    original = through(free, "spz", tmp_path)
+    lattices, asked = find_lattices(original), wanted(original, 1.0)
+    mean = np.mean([lattices.onto(original, asked, bytes([k]) * 32).means for k in range(64)], axis=0, dtype=np.float64)
+    step = lattices.step("means")
+    moved = np.abs(asked.means - original.means) > 0.3 * step
+    gap = (mean - asked.means)[moved] / step
+    assert abs(gap.mean()) < 0.005
+    assert gap.std() < 0.08, "half a step over the root of 64"
+
+
+def test_what_is_not_moved_and_moves_that_are_tiny_stay_bit_for_bit(free: GaussianModel, tmp_path: Path) -> None:
+    original = through(free, "sog", tmp_path)
+    lattices = find_lattices(original)
+    same = lattices.onto(original, original, KEY)
+    for name in ("means", "log_scales", "sh"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(original, name))
+    few = lattices.onto(original, wanted(original, 0.1), KEY)
+    assert (few.log_scales != original.log_scales).mean() < 0.05
+
+
+def test_the_same_key_rounds_alike_and_another_does_not(free: GaussianModel, tmp_path: Path) -> None:
+    original = through(free, "spz", tmp_path)
+    lattices, asked = find_lattices(original), wanted(original, 0.8)
+    one, again, other = (lattices.onto(original, asked, key).means for key in (KEY, KEY, bytes(32)))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).mean() > 0.2
