@@ -133,7 +133,7 @@ def test_a_file_sorted_again_after_every_center_moved_a_little_keeps_no_order(tm
 
     reference = packed(whole)
     rng = np.random.default_rng(4)
-    gaps = 0.03 * np.exp(reference.log_scales) * rng.normal(size=(len(reference), 3))
+    gaps = 0.003 * np.exp(reference.log_scales) * rng.normal(size=(len(reference), 3))
     suspect = packed(reference.with_(means=(reference.means + gaps).astype(np.float32)))
     found = register(reference, suspect)
     off = np.linalg.norm(reference.means[found.matches] - suspect.means, axis=1)
