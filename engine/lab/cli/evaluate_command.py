@@ -88,8 +88,8 @@ def evaluate(
     console = Console(json)
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"{str(out)!r} is a file; --out names a folder")
-    from engine.kernels.machine import machine_info
     from engine.lab.evaluate.cell_runner import run_cells
+    from engine.lab.evaluate.machine import machine_info
     from engine.lab.evaluate.measurements import MEASUREMENTS
     from engine.lab.evaluate.report import cell_text, write_report
     from engine.lab.evaluate.study import Options

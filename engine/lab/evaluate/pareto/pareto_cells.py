@@ -15,10 +15,10 @@ from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import LoadedModel, encode_model, read_model
-from engine.kernels.machine import load_per_core
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, read_screenshots, to_8_bit
 from engine.lab.evaluate.bench.raster import bench_camera
 from engine.lab.evaluate.bench.timing import median_ms, stage_medians
+from engine.lab.evaluate.machine import load_per_core
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.pareto.points import BASE, Point, config_of
 from engine.lab.evaluate.study import Row

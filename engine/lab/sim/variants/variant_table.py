@@ -24,9 +24,10 @@ from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.formats.file_writing import write_whole
 from engine.lab.sim.attacks import image_attack, model_attack
+from engine.lab.sim.multiscale_ssim import ms_ssim_distance
 from engine.lab.sim.variants.generative import marking, write_raw_ply
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.image_metrics import ms_ssim_distance, psnr
+from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
 from engine.scenes.clip_marking import embed_moving, move_record, verify_moment, verify_moving_images, visible
 from engine.scenes.codebook_files import PLY, read_codebook, write_codebook
