@@ -13,14 +13,14 @@ geometry alone.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol, Self, TypeVar, Unpack
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
 from engine.errors import InputError
-from engine.flows.embed.embedding import Embedding, embed
+from engine.flows.embed.embedding import Embedding, embed_on_terms
 from engine.flows.embed.profiles import Auto, EmbedConfig
-from engine.flows.embed.terms import MarkOptions
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.embed.variant import Variant
 from engine.flows.progress import Progress
 from engine.flows.records.opened_record import OpenedRecord
@@ -96,21 +96,21 @@ def key_times(moving: Moving, count: int) -> list[float]:
 def embed_moving(
     moving: M,
     key: OwnerKey,
+    terms: MarkTerms = MarkTerms(),
     *,
     original_sha256: str | None = None,
     copy: str = "",
     progress: Progress | None = None,
-    **options: Unpack[MarkOptions],
 ) -> tuple[M, Embedding]:
     """Mark a dynamic scene, whose unmarked original the owner keeps for verification.
 
     `original_sha256` is the digest of the owner's file, by default that of the arrays. The landmark bank is left out: a
-    canonical model is nothing a picture shows, `move_record` makes one. The `options` are those of
-    `engine.flows.embed.embedding.embed`, whose errors are raised; InputError for profile `auto`. Returns the marked
+    canonical model is nothing a picture shows, `move_record` makes one. Errors are those of
+    `engine.flows.embed.embedding.embed`; InputError for profile `auto`. Returns the marked
     scene, of the same kind, and an embedding whose model is the marked canonical one and whose record commits to the
     original.
     """
-    config = options.get("config") or EmbedConfig()
+    config = terms.config or EmbedConfig()
     if isinstance(config, Auto):
         raise InputError("a scene that moves is not rehearsed: name its settings instead of 'auto'")
     config = replace(config, landmark_views=0)
@@ -121,8 +121,9 @@ def embed_moving(
         emphasis=np.clip(moving.persistence(), LEAST_EMPHASIS, 1.0),
         commitments={COMMITMENT: digest},
     )
-    options = options | {"config": config, "variant": variant}
-    result = embed(canonical, key, original_sha256=original_sha256 or digest, copy=copy, progress=progress, **options)
+    terms = replace(terms, config=config, variant=variant)
+    original_sha256 = original_sha256 or digest
+    (result,) = embed_on_terms(canonical, key, [copy], terms, original_sha256=original_sha256, progress=progress)
     return moving.displaced(result.model), result
 
 

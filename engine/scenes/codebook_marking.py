@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Unpack
 
 import numpy as np
 
 from engine.compress.hvq import HvqConfig, learn_residual_stage
 from engine.errors import InputError
-from engine.flows.embed.embedding import Embedding, embed
-from engine.flows.embed.terms import MarkOptions
+from engine.flows.embed.embedding import Embedding, embed_on_terms
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.embed.variant import Variant
 from engine.flows.progress import Progress
 from engine.model import GaussianModel
@@ -59,25 +58,25 @@ def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, 
 def embed_codebook(
     compressed: CodebookModel,
     key: OwnerKey,
+    terms: MarkTerms = MarkTerms(),
     *,
     original_sha256: str,
     copy: str = "",
     progress: Progress | None = None,
-    **options: Unpack[MarkOptions],
 ) -> tuple[CodebookModel, Embedding]:
     """Mark a model in its own colour codebook: its entries are the mark's code vectors.
 
     Centres and sizes carry the grain where they are plain; a codebook of them would need an entry a Gaussian.
 
-    The parameters are those of `engine.flows.embed.embedding.embed`, whose errors are raised, too. The marked model
+    Errors are those of `engine.flows.embed.embedding.embed`. The marked model
     has as many codes and the same indices: a file of the same size. InputError if the colours have no codebook.
     """
     if "dc" not in compressed.centers:
         raise InputError("this model's colours are not quantised: mark it as a plain model")
     model, labels = compressed.decode(), compressed.indices["dc"]
     own = Variant(labels=labels, free_centers="xyz" in compressed.plain, free_sizes="scale" in compressed.plain)
-    options = options | {"variant": own}
-    result = embed(model, key, original_sha256=original_sha256, copy=copy, progress=progress, **options)
+    terms = replace(terms, variant=own)
+    (result,) = embed_on_terms(model, key, [copy], terms, original_sha256=original_sha256, progress=progress)
     used, member = np.unique(labels, return_index=True)  # all members of a code are displaced alike
     codes = compressed.centers["dc"].copy()  # (M, 3)
     codes[used] = result.model.sh[member, 0]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Unpack
 
 from engine.errors import InputError
-from engine.flows.embed.embedding import Embedding, embed_copies
+from engine.flows.embed.embedding import Embedding, embed_on_terms
 from engine.flows.embed.profiles import Auto
-from engine.flows.embed.terms import MarkOptions
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Progress
 from engine.model import GaussianModel
 from engine.scenes.clip_marking import embed_moving
@@ -23,39 +22,31 @@ __all__ = ["embed_scene", "embed_variant"]
 
 
 def embed_scene(
-    loaded: Loaded,
-    key: OwnerKey,
-    copies: Sequence[str] = ("",),
-    progress: Progress | None = None,
-    **options: Unpack[MarkOptions],
+    loaded: Loaded, key: OwnerKey, copies: Sequence[str], terms: MarkTerms, progress: Progress | None = None
 ) -> Iterator[tuple[Scene, Embedding]]:
     """Mark a scene for each of these recipients: the marked scene, of the same kind, and its embedding.
 
-    The `options` are those of `engine.flows.embed.embedding.embed`, whose errors are raised.
+    Errors are those of `engine.flows.embed.embedding.embed`.
     """
     if not isinstance(loaded.scene, GaussianModel):
-        yield from embed_variant(loaded, key, copies, progress, **options)
+        yield from embed_variant(loaded, key, copies, terms, progress)
         return
-    for made in embed_copies(loaded.scene, key, copies, original_sha256=loaded.sha256, progress=progress, **options):
+    for made in embed_on_terms(loaded.scene, key, copies, terms, original_sha256=loaded.sha256, progress=progress):
         yield made.model, made
 
 
 def embed_variant(
-    loaded: Loaded,
-    key: OwnerKey,
-    copies: Sequence[str] = ("",),
-    progress: Progress | None = None,
-    **options: Unpack[MarkOptions],
+    loaded: Loaded, key: OwnerKey, copies: Sequence[str], terms: MarkTerms, progress: Progress | None = None
 ) -> Iterator[tuple[Scene, Embedding]]:
     """`embed_scene` for what is not plain Gaussians, a clip or a model in codebooks.
 
     InputError where the settings were to be chosen by rehearsal.
     """
     scene, digest = loaded.scene, loaded.sha256
-    if isinstance(options.get("config"), Auto):
+    if isinstance(terms.config, Auto):
         raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
     for copy in copies:
         if isinstance(scene, SpacetimeModel | FrameSequence):
-            yield embed_moving(scene, key, original_sha256=digest, copy=copy, progress=progress, **options)
+            yield embed_moving(scene, key, terms, original_sha256=digest, copy=copy, progress=progress)
         elif isinstance(scene, CodebookModel):
-            yield embed_codebook(scene, key, original_sha256=digest, copy=copy, progress=progress, **options)
+            yield embed_codebook(scene, key, terms, original_sha256=digest, copy=copy, progress=progress)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Progress
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.views.camera_rig import make_rig
@@ -259,7 +260,7 @@ def _mark_part(unmarked: Unmarked, part: Part, key: OwnerKey, progress: Progress
         return _Made(marked, scene, opened)
     new, opened_new = scene, None
     if part.bits:
-        marks = embed_variant(loaded, key, (part.name,), config=config, bits=part.bits, progress=progress)
+        marks = embed_variant(loaded, key, (part.name,), MarkTerms(config=config, bits=part.bits), progress)
         ((made, embedding),) = marks
         assert not isinstance(made, GaussianModel)  # the same kind comes back
         new, opened_new = made, open_record(embedding.record.to_bytes(key), key, MADE_FIRST)

@@ -18,6 +18,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
@@ -279,7 +280,7 @@ def measure_codebook(
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
         digest = hashlib.sha256((folder / "before" / PLY).read_bytes()).hexdigest()
-        marked, embedding = embed_codebook(compressed, key, original_sha256=digest, bits=BITS, config=finer)
+        marked, embedding = embed_codebook(compressed, key, MarkTerms(bits=BITS, config=finer), original_sha256=digest)
         write_codebook(marked, folder / "after")
         return read_codebook(folder / "after").decode(), open_record(embedding.record.to_bytes(key), key, MADE_FIRST)
 
@@ -321,7 +322,7 @@ def measure_spacetime(
 
     real, before = pictures(truth), pictures(original)
     config = replace(config, psnr_db=fidelity_for(real, before, config.psnr_db))
-    marked, embedding = embed_moving(original, key, bits=BITS, config=config)
+    marked, embedding = embed_moving(original, key, MarkTerms(bits=BITS, config=config))
     marked, _ = read_spacetime_ply(b"".join(write_spacetime_ply(marked)), file="marked")
     after = pictures(marked)
     opened = open_record(embedding.record.to_bytes(key), key, MADE_FIRST)

@@ -6,6 +6,7 @@ import pytest
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.verify.verification import verify_model
 from engine.lab.sim.attacks import model_attack
@@ -27,7 +28,7 @@ def compressed(plant: GaussianModel) -> CodebookModel:
 def marked(
     compressed: CodebookModel, key: OwnerKey, config: EmbedConfig
 ) -> tuple[CodebookModel, Embedding, OpenedRecord]:
-    model, result = embed_codebook(compressed, key, original_sha256="0" * 64, bits=16, config=config)
+    model, result = embed_codebook(compressed, key, MarkTerms(bits=16, config=config), original_sha256="0" * 64)
     return model, result, open_record(result.record.to_bytes(key), key)
 
 

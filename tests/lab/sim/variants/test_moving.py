@@ -8,6 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.verify.verification import verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
@@ -105,7 +106,7 @@ def test_the_motion_decides_the_chips(
     """One canonical model under one key, another motion: the record's id, hence its chips, are others."""
     _, first, _ = marked_clip
     forged = replace(clip, omega=clip.omega + np.float32(1e-6))
-    _, second = embed_moving(forged, key, original_sha256=clip.digest(), config=config)
+    _, second = embed_moving(forged, key, MarkTerms(config=config), original_sha256=clip.digest())
     assert first.record.header.reference_digest == second.record.header.reference_digest
     assert first.record.header.record_id != second.record.header.record_id
 
@@ -113,7 +114,7 @@ def test_the_motion_decides_the_chips(
 def test_wrong_keys_find_nothing(clip: SpacetimeModel, marked_clip: Marked, config: EmbedConfig) -> None:
     """Another owner's record of the very same scene, read from every kind of evidence the first one has."""
     other = bench_key(99)
-    _, result = embed_moving(clip, other, config=config)
+    _, result = embed_moving(clip, other, MarkTerms(config=config))
     theirs = open_record(result.record.to_bytes(other), other)
     marked = marked_clip[0]
     assert verify_model(marked.canonical(), theirs).claim.verdict is Verdict.INCONCLUSIVE  # another mark lies there
