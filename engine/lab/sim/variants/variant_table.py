@@ -32,8 +32,8 @@ from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
 from engine.scenes.clip_marking import embed_moving, move_record, verify_moment, verify_moving_images, visible
 from engine.scenes.codebook_files import PLY, read_codebook, write_codebook
-from engine.scenes.codebook_marking import embed_codebook
 from engine.scenes.codebook_model import CodebookModel
+from engine.scenes.scene_marking import embed_codebook
 from engine.scenes.spacetime import SpacetimeModel
 from engine.scenes.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from engine.watermark.keys import OwnerKey

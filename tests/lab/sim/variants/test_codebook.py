@@ -10,9 +10,10 @@ from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.verify.verification import verify_model
 from engine.lab.sim.attacks import model_attack
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.model import GaussianModel
-from engine.scenes.codebook_marking import embed_codebook, make_codebook
 from engine.scenes.codebook_model import CodebookModel
+from engine.scenes.scene_marking import embed_codebook
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
 

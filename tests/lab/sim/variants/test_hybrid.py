@@ -10,11 +10,12 @@ from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.lab.evaluate.marked_scene import bench_key
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.lab.sim.variants.hybrid import HybridPart, assemble, verify_hybrid
 from engine.model import GaussianModel
 from engine.numerics.flattening import flatten
 from engine.numerics.umeyama import Similarity
-from engine.scenes.codebook_marking import embed_codebook, make_codebook
+from engine.scenes.scene_marking import embed_codebook
 from engine.scenes.spacetime import SpacetimeModel
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
