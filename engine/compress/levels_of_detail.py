@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import GaussianModel, Int64
-from engine.numerics.gaussians import covariances, surface_mass, volume_mass
-from engine.numerics.moment_matching import merge_groups
+from engine.numerics.gaussians import covariances, merge_groups, surface_mass, volume_mass
 
 __all__ = ["merge_pairs", "merge_voxels"]
 

@@ -43,8 +43,7 @@ def test_the_table_names_every_step_and_nothing_else() -> None:
 
 
 def test_no_cell_is_empty_and_commands_and_tests_exist() -> None:
-    from engine.cli.app import app
-    from engine.cli.extra_commands import add_extra_commands
+    from engine.cli.app import add_extra_commands, app
 
     add_extra_commands(app)
     commands = {command.name for command in app.registered_commands}

@@ -86,5 +86,5 @@ print(sorted(late & set(sys.modules)))
 
 def test_flows_open_without_what_only_some_of_their_work_needs() -> None:
     """Each costs every command a tenth to a quarter of a second; together they were half of what imports took."""
-    for module in ("engine.flows.embed.embedding", "engine.flows.verify.verification", "engine.flows.trace.tracing"):
+    for module in ("engine.flows.embed.embedding", "engine.flows.verify.search", "engine.flows.trace.tracing"):
         assert run(LATER, module) == "[]\n", module

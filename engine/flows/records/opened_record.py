@@ -10,6 +10,7 @@ it is used to say what a mark would have shown, never to read one.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from engine.flows.records.admission import admit
 from engine.model import Bool, Camera, GaussianModel
 from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.records.attestation import Trust, Witness, read_attestations
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.keys import OwnerKey
@@ -176,3 +178,26 @@ def landmarks_in(arrays: Mapping[str, npt.NDArray[Any]]) -> Landmarks | None:
     if "landmarks/points" not in arrays:
         return None
     return Landmarks(*(arrays[f"landmarks/{name}"] for name in ("points", "descriptors", "views")))
+
+
+def open_attested(data: bytes, key: OwnerKey, trust: Trust) -> tuple[OpenedRecord, tuple[str, ...]]:
+    """A record, attested by whom the reader trusts, and what is to be said of other attestations.
+
+    Errors are those of `open_record`; a record whose attestations do not count is opened all the same.
+    """
+    witnesses: tuple[Witness, ...] = ()
+    notes: tuple[str, ...] = ()
+    if read_attestations(data):
+        from engine.records.witnessing import check_attestations  # certificates take a tenth of a second to import
+
+        witnesses, notes = check_attestations(data, trust)
+    opened = open_record(data, key)
+    return replace(opened, attested=attested_by(opened, witnesses)), notes
+
+
+def attested_by(opened: OpenedRecord, witnesses: tuple[Witness, ...]) -> Attested | None:
+    """The word that counts most: of one who drew a part of the plan, then the earliest."""
+    own = opened.commitments.get(DRAWN, "")
+    digest = sha256(own.encode()).hexdigest() if own else "nothing was drawn"
+    words = [Attested(each.at, each.by, each.drawn_sha256 == digest) for each in witnesses]
+    return min(words, key=lambda word: (not word.drawn, word.moment), default=None)

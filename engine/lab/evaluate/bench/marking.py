@@ -15,7 +15,7 @@ from engine.compress.pruning import PruneConfig
 from engine.errors import CapacityError
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.bench.attacks import other_views

@@ -17,7 +17,7 @@ import numpy as np
 
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import Verification, verify_images, verify_model
+from engine.flows.verify.search import Verification, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.kernels.allocation import keep_freed_memory

@@ -16,7 +16,7 @@ from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.records.opened_record import OpenedRecord, draw_spreading, open_record, plan_of
 from engine.flows.trace.tracing import trace_model
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
 from engine.lab.evaluate.study import Row

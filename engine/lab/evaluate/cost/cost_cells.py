@@ -13,7 +13,7 @@ import numpy as np
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import EmbedConfig, profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.formats import read_model, write_model
 from engine.lab.evaluate.bench.attacks import to_8_bit

@@ -14,7 +14,7 @@ import numpy as np
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.bench.attacks import to_8_bit

@@ -10,7 +10,7 @@ import numpy as np
 
 from engine.errors import CapacityError
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
-from engine.flows.verify.verification import Verification, verify_model
+from engine.flows.verify.search import Verification, verify_model
 from engine.formats import encode_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.bench.raster import bench_camera

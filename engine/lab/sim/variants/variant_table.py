@@ -20,7 +20,7 @@ from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.formats.file_writing import write_whole

@@ -8,7 +8,7 @@ from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.lab.sim.attacks import model_attack
 from engine.lab.sim.variants.codebooks import make_codebook
 from engine.model import GaussianModel

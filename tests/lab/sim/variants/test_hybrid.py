@@ -13,7 +13,7 @@ from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.sim.variants.codebooks import make_codebook
 from engine.lab.sim.variants.hybrid import HybridPart, assemble, verify_hybrid
 from engine.model import GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from engine.numerics.umeyama import Similarity
 from engine.scenes.scene_marking import embed_codebook
 from engine.scenes.spacetime import SpacetimeModel

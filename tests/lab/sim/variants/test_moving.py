@@ -10,7 +10,7 @@ from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import verify_images, verify_model
+from engine.flows.verify.search import verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import SH_C0
