@@ -132,14 +132,16 @@ def _project(
     return settings, _Projected(rows, records, discs, bounds, depths, index, chunk, counts)
 
 
-def count_overlaps(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> Int64:
+def count_overlaps(model: GaussianModel, camera: Camera) -> Int64:
     """(N,) tiles of an image that each Gaussian may touch, those of the rectangle around it; 0 where it is not seen.
 
     Costs one pass over the Gaussians, whatever they cover: what drawing them would cost is known before it is paid.
     """
     found_in = np.zeros(len(model), dtype=np.int64)
     with borrow_workspace() as work:
-        _, found = _project(model, camera, settings, work, lambda name, size, dtype: work.array(name, (size,), dtype))
+        _, found = _project(
+            model, camera, RasterSettings(), work, lambda name, size, dtype: work.array(name, (size,), dtype)
+        )
         seen = found.seen
         left, right, top, bottom = found.bounds[1].reshape(-1, 4)[seen].astype(np.int64).T
     found_in[seen] = (right - left + 1) * (bottom - top + 1)

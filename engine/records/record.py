@@ -17,7 +17,7 @@ import numpy.typing as npt
 from engine.errors import MalformedRecordError
 from engine.model import GaussianModel
 from engine.records.codec import canonical_json, pack, unpack
-from engine.records.file import MAX_BODY_BYTES, MEDIA_TYPE, read_header, seal, unseal
+from engine.records.file import MEDIA_TYPE, read_header, seal, unseal
 from engine.records.header import Arrays, RecordHeader, chip_context, copy_digest, key_check, make_record_id
 from engine.records.reference import decode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
@@ -94,14 +94,14 @@ class Record:
         return seal(self.header, body, key)
 
     @classmethod
-    def from_bytes(cls, data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> Record:
+    def from_bytes(cls, data: bytes, key: OwnerKey) -> Record:
         """Open a record file.
 
         RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key
-        made it; MalformedRecordError if it is no record, was damaged, would unpack to more than `max_body_bytes`, or
+        made it; MalformedRecordError if it is no record, was damaged, would unpack to more than `MAX_BODY_BYTES`, or
         its reference or plan is not the one its header names.
         """
-        header, body = unseal(data, key, max_body_bytes)
+        header, body = unseal(data, key)
         meta, arrays = unpack(body)
         if set(meta) != {"copy", "plan", "extra"} or not _is_text(meta["copy"]):
             raise MalformedRecordError("the record's body is malformed")

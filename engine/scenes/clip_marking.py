@@ -56,6 +56,12 @@ VISIBLE = 1.0 / 255.0
 LEAST_EMPHASIS = 0.2
 """Share of the full displacement that the most short-lived Gaussians still carry."""
 
+TRIED, ROUNDS = 9, 3
+"""Moments of the whole clip at which a model is looked for, and how often their distance is then halved."""
+
+BANK_VIEWS = 24
+"""Views of the landmarks by which pictures of one moment find their cameras."""
+
 
 class Moving(Protocol):
     """The same Gaussians over time; `SpacetimeModel` and `FrameSequence` are such."""
@@ -162,14 +168,12 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     return replace(opened, reference=reference, layout=layout, landmarks=landmarks, kept=kept)
 
 
-def find_time(
-    suspect: GaussianModel, opened: OpenedRecord, original: Moving, *, count: int = 9, rounds: int = 3, seed: int = 0
-) -> float | None:
+def find_time(suspect: GaussianModel, opened: OpenedRecord, original: Moving, *, seed: int = 0) -> float | None:
     """The moment at which the original looks most like a model exported from it; None where it is never found.
 
     Most Gaussians nearest to where they should be, in their own sizes. Only geometry and the registration's unmarked
-    features decide, so the search is no further try of a claim. It tries `count` moments over the whole clip, then
-    `rounds` times the neighbours of the best.
+    features decide, so the search is no further try of a claim. It tries `TRIED` moments over the whole clip, then
+    `ROUNDS` times the neighbours of the best.
     """
     shown = visible(suspect)
     rigid = RegistrationConfig(colorless=False, merged=False, deformed=False)  # a wrong moment is to fit badly
@@ -180,9 +184,9 @@ def find_time(
         return 0.0 if found.exactness is None else (found.gaussians or 0) / (1.0 + found.exactness**2)
 
     low, high = original.span
-    step = (high - low) / max(count - 1, 1)
-    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, count)}
-    for _ in range(rounds):
+    step = (high - low) / (TRIED - 1)
+    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, TRIED)}
+    for _ in range(ROUNDS):
         best = max(scores, key=lambda t: (scores[t], -t))
         if scores[best] == 0.0:
             return None
@@ -216,12 +220,11 @@ def verify_moving_images(
     times: Sequence[float],
     config: VerifyConfig | None = None,
     cameras: Sequence[Camera] | None = None,
-    landmark_views: int = 24,
 ) -> tuple[Verification, float]:
     """Do these pictures (h, w, 3), all of one moment, show the marked scene?
 
     `times` are the moments it may be; each is a place where all is asked, and all are counted. Unknown cameras are
-    found by a bank of `landmark_views`. Returns the best verification and its moment.
+    found by a bank of `BANK_VIEWS`. Returns the best verification and its moment.
     """
     if not times:
         raise InputError("no moment was given")
@@ -229,6 +232,6 @@ def verify_moving_images(
     config = replace(config, tries=count_tries(1, ("image",), config, places=len(times)))
     found: list[tuple[Verification, float]] = []
     for time in times:
-        moved = move_record(opened, original, time, landmark_views=0 if cameras else landmark_views)
+        moved = move_record(opened, original, time, landmark_views=0 if cameras else BANK_VIEWS)
         found.append((verify_images(images, moved, config, cameras), time))
     return min(found, key=lambda pair: pair[0].claim.log10_false_claim)
