@@ -4,7 +4,7 @@ All rooms above may import the names below: `render` for a picture; `prepare_vie
 of one view's colours; `draw` and `backward` for the gradients of everything. A newcomer starts at `geometry`, which
 runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning`), then reads `tiles` and `forward`;
 `backward` and `moments` walk the same tiles. The `lane_*` modules are sixteen numbers as one value inside numba.
-`engine.raster.autograd.rasterize` is the same as a torch operation (torch is imported only there).
+`engine.lab.raster.autograd.rasterize` is the same as a torch operation.
 """
 
 from engine.raster.geometry import count_overlaps

@@ -17,7 +17,7 @@ SECONDS = 0.5
 RUN_BY_ALEMBIC = {"service.db.migrations.env"}
 """Works on a context that only Alembic makes."""
 
-TORCH_MODULES = {"engine.flows.embed.distortions", "engine.flows.embed.refinement", "engine.raster.autograd"}
+TORCH_MODULES = {"engine.flows.embed.distortions", "engine.flows.embed.refinement", "engine.lab.raster.autograd"}
 """Modules that are nothing without torch; everybody else imports them (or torch) inside a function."""
 
 OPENING = """
