@@ -18,11 +18,11 @@ from engine.errors import MalformedRecordError
 from engine.model import GaussianModel
 from engine.records.codec import canonical_json, pack, unpack
 from engine.records.file import MEDIA_TYPE, read_header, seal, unseal
-from engine.records.header import Arrays, RecordHeader, chip_context, copy_digest, key_check, make_record_id
+from engine.records.header import Arrays, Plan, RecordHeader, chip_context, copy_digest, key_check, make_record_id
 from engine.records.reference import decode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["MEDIA_TYPE", "Record", "RecordHeader", "chip_context", "make_record_id", "read_header"]
+__all__ = ["MEDIA_TYPE", "Plan", "Record", "RecordHeader", "chip_context", "make_record_id", "read_header"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,7 @@ class Record:
         reference_arrays: Arrays,
         *,
         original_digest: str,
-        plan: Mapping[str, Any],
-        plan_arrays: Arrays,
+        plan: Plan,
         extra: Mapping[str, Any] | None = None,
         copy: str = "",
         registered_at: str = "",
@@ -66,7 +65,7 @@ class Record:
         extra is no JSON, or an array is of a type that cannot be recorded.
         """
         digest = reference_digest(reference_arrays)
-        record_id = make_record_id(key, digest, copy, plan, plan_arrays)
+        record_id = make_record_id(key, digest, copy, *plan)
         header = RecordHeader(
             record_id=record_id.hex(),
             owner=key.fingerprint,
@@ -77,7 +76,7 @@ class Record:
             tool_version=this_version() if tool_version is None else tool_version,
             key_check=key_check(key, record_id),
         )
-        return cls(header, copy, plan, plan_arrays, extra or {}, reference_arrays)
+        return cls(header, copy, *plan, extra or {}, reference_arrays)
 
     def reference(self) -> GaussianModel:
         """The unmarked reference, decoded."""

@@ -56,8 +56,6 @@ WIDE = {
     "engine/lab/raster/cuda.py": ["rasterize"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
     "engine/lab/sim/variants/variant_table.py": ["_row"],
-    "engine/records/record.py": ["make"],
-    "engine/registration/match_kernels.py": ["best_triples"],
     "service/claims/document.py": ["build_document"],
     "service/claims/issuing.py": ["issue_claim"],
 }

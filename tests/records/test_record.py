@@ -300,9 +300,7 @@ def test_a_record_is_opened_without_copying_its_arrays() -> None:
     """What opening holds at most: what was decrypted and what that unpacks to, not the plan once more, twice."""
     noise = np.random.default_rng(0).integers(0, 256, 8 << 20, dtype=np.uint8)
     plan = {"labels": noise}
-    made = Record.make(
-        KEY, encode_reference(golden_model()), original_digest="0" * 64, plan={}, plan_arrays=plan, extra={}
-    )
+    made = Record.make(KEY, encode_reference(golden_model()), original_digest="0" * 64, plan=({}, plan), extra={})
     data = made.to_bytes(KEY)
     tracemalloc.start()
     try:

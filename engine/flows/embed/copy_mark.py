@@ -8,10 +8,11 @@ import numpy.typing as npt
 
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
-from engine.flows.records.opened_record import OpenedRecord, PlanParts, draw_spreading, plan_of
+from engine.flows.records.opened_record import OpenedRecord, draw_spreading, plan_of
 from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.records.record import Plan
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
@@ -47,7 +48,7 @@ class Mark:
     """A marked model and the plan from which its chips follow."""
 
     model: GaussianModel
-    plan: PlanParts
+    plan: Plan
     spreading: Spreading  # of the tint
     signed: Float64  # (C,) displacement of each chip of the tint
     settled: Settled

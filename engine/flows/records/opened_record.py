@@ -22,7 +22,7 @@ from engine.model import Bool, Camera, GaussianModel
 from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.attestation import Trust, Witness, read_attestations
-from engine.records.record import Record, RecordHeader, chip_context, make_record_id
+from engine.records.record import Plan, Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
@@ -34,9 +34,6 @@ FIRST_STRENGTH = 2.4
 """Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
-
-PlanParts = tuple[Json, Arrays]
-"""A plan as a record keeps it."""
 
 DRAWN = "drawn"
 """Name of the commitment to what whoever attests the registration drew for the plan."""
@@ -87,7 +84,7 @@ def plan_of(
     commitments: Mapping[str, str] | None = None,
     *,
     antialiased: bool = False,
-) -> PlanParts:
+) -> Plan:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
     plan: Json = {"message": message_hex(message), "codes": list(layout.codes)}
     if grain.there:
@@ -111,7 +108,7 @@ def plan_of(
 
 
 def draw_spreading(
-    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: PlanParts
+    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: Plan
 ) -> tuple[Spreading, bytes]:
     """Bits and chips of one copy, from the owner's key and everything that enters the decision; and its grain's key."""
     record_id = make_record_id(key, reference_digest, copy, *plan)

@@ -132,7 +132,7 @@ def _pictures(scene: MarkedScene, camera: Camera) -> dict[str, str]:
     """Original, marked and amplified difference at one view, rendered smaller."""
     small = camera.resized(PICTURE_SIDE, round(PICTURE_SIDE * camera.height / camera.width))
     plain, marked = render(scene.original, small), render(scene.marked, small)
-    difference: Float32 = GAIN * np.abs(np.clip(plain, 0, 1) - np.clip(marked, 0, 1))
+    difference: Float32 = np.float32(GAIN) * np.abs(np.clip(plain, 0, 1) - np.clip(marked, 0, 1))
     pictures = {"original": plain, "marked": marked, "difference": difference}
     return {name: picture_text(picture) for name, picture in pictures.items()}
 
