@@ -13,9 +13,9 @@ import typer
 from engine.cli.console import Console, Progress, claim_lines
 from engine.cli.embed import size
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import shipped_scene
 from engine.cli.options import Json
 from engine.errors import InputError, WrongKeyError
+from engine.lab.cli.shared import shipped_scene
 from engine.usecases.files import check_target, whole_file, write_picture, write_secret
 from engine.usecases.verify import VerifyReport
 

@@ -9,9 +9,9 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import shipped_scene
-from engine.cli.options import Json, Seed
+from engine.cli.options import Json
 from engine.errors import InputError, Mark3DGSError
+from engine.lab.cli.shared import Seed, shipped_scene
 
 TRIALS_HELP = (
     "Trials: screenshots (50), foreign pictures (200), wrong keys (100,000), innocent copies (10,000), assets (1,000) "

@@ -19,6 +19,7 @@ from engine.flows.trace.tracing import trace_model
 from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
+from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.collusion import RULES, collude
 from engine.raster import render
@@ -26,7 +27,7 @@ from engine.records.header import make_record_id
 from engine.watermark.keys import CHIPS, OwnerKey, signs
 from engine.watermark.messages import derive_message
 from engine.watermark.rates import MADE_FIRST
-from engine.watermark.statistics import log10_false_claim_bound, wrong_key_z
+from engine.watermark.statistics import log10_false_claim_bound
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 COLLUDERS = (2, 3, 5, 10)
