@@ -36,8 +36,8 @@ _f = np.float32
 _AHEAD = 32  # pairs: about the time that a line takes from memory
 _SIXTEEN = (0,) * 16
 
-WEIGHT_SUMS = 4
-"""Sums of `pair_weights`: w, w^2, w * map, w^2 * map."""
+WEIGHT_SUMS = 2
+"""Sums of `pair_weights`: w and w^2."""
 
 
 def pair_width(channels: int) -> int:
@@ -123,16 +123,16 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
 
 
 @parallel_kernel
-def pair_weights(lists, pixel_map, sums, maxima, bench, call):
-    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
+def pair_weights(lists, sums, maxima, bench, call):
+    """Per pair: sums over the tile's pixels of w and w^2 (`sums`), and the largest w (`maxima`)."""
     records, discs, ids, starts, width, height, tiles_x, limits = lists
     scratch, items, counter = bench
     log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
-    stage = FIELDS + FIELD
+    stage = FIELDS
     rows = stage + (BATCH + 1) * STAGE_ROW
     peaks = rows + BATCH * WEIGHT_SUMS * 16
-    spare = peaks + BATCH * 16
+    spare, nothing = peaks + BATCH * 16, spread(_f(0.0))
     for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
@@ -149,22 +149,18 @@ def pair_weights(lists, pixel_map, sums, maxima, bench, call):
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
             left, top = _f(x0), _f(y0)
             alive = open_tile(own, x0, y0, width, height)
-            fill_field(own, FIELDS, pixel_map, 1, 0, x0, y0, width, height)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own, stage, list_, records, discs, pixel_map, 0, ids, at, size, end, left, top, alive, log2_skip
+                    own, stage, list_, records, discs, sums, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
                     place, j, _, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * (WEIGHT_SUMS * 16)
-                    w2 = w * w
-                    m = load(own, FIELDS + place)
                     store(own, to, load(own, to) + w)
-                    store(own, to + 16, load(own, to + 16) + w2)
-                    store(own, to + 32, fma(w, m, load(own, to + 32)))
-                    store(own, to + 48, fma(w2, m, load(own, to + 48)))
+                    # As a maximum the square is rounded before it is added: fused, it would have other last digits.
+                    store(own, to + 16, load(own, to + 16) + maximum(w * w, nothing))
                     store(own, peaks + j * 16, maximum(load(own, peaks + j * 16), w))
                     store(own, STATE + place, after)
                 write_sums(own, rows, size * WEIGHT_SUMS, spare, sums, at * WEIGHT_SUMS)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.kernels.thread_crew import thread_count
-from engine.model import Bool, Camera, Float32, GaussianModel, Int32
+from engine.model import Camera, Float32, GaussianModel, Int32
 from engine.raster.backward import (
     WEIGHT_SUMS,
     backward_scratch,
@@ -68,15 +68,13 @@ def blend_colors(
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Frozen geometry of one model and camera; made by `prepare_view`. `depth_of_all` (N,) is every Gaussian's camera
-    z.
+    """Frozen geometry of one model and camera; made by `prepare_view`.
 
     Holds 32 bytes a Gaussian, 8 bytes a visible one and 8 bytes a (tile, Gaussian) pair: about 30 MB for a real scene
     of 500k Gaussians at 1 megapixel. It keeps no reference to the model.
     """
 
     geometry: Geometry
-    depth_of_all: Float32
 
     @property
     def camera(self) -> Camera:
@@ -87,11 +85,6 @@ class View:
     def visible(self) -> Int32:
         """(V,) int32 indices of the Gaussians that may touch the image, nearest first."""
         return self.geometry.visible
-
-    @property
-    def depths(self) -> Float32:
-        """(V,) float32 depths (camera z, scene units) of `visible`."""
-        return self.depth_of_all[self.geometry.visible]
 
     def render(
         self, colors: Float32, background: npt.ArrayLike | None = None, early: EarlyStop | None = None
@@ -157,50 +150,24 @@ class View:
     def weights(self) -> tuple[Float32, Float32, Float32]:
         """Of the blending weights w = alpha T of every Gaussian, over the pixels: sum of w (pixels covered), sum of w^2
         and largest w, (N,) each; 0 for Gaussians that are not seen."""
-        sums, maxima = self._pixel_sums(None)
-        return sums[:, 0].copy(), sums[:, 1].copy(), maxima
-
-    def weighted(self, pixel_map: Float32 | None = None) -> tuple[Float32, Float32]:
-        """Sums over pixels of w * map and of w^2 * map, (N,) each, for a map (H, W) that is 1 everywhere by default."""
-        camera = self.geometry.camera
-        if pixel_map is None:
-            sums, _ = self._pixel_sums(None)
-            return sums[:, 0].copy(), sums[:, 1].copy()
-        pixel_map = np.ascontiguousarray(pixel_map, dtype=np.float32)
-        if pixel_map.shape != (camera.height, camera.width):
-            raise InputError(f"pixel_map has shape {pixel_map.shape}, expected ({camera.height}, {camera.width})")
-        sums, _ = self._pixel_sums(pixel_map)
-        return sums[:, 2].copy(), sums[:, 3].copy()
-
-    def _pixel_sums(self, pixel_map: Float32 | None) -> tuple[Float32, Float32]:
-        """(N, 4) sums of w, w^2, w map, w^2 map and (N,) largest w."""
         geometry = self.geometry
-        camera = geometry.camera
-        if pixel_map is None:
-            pixel_map = np.zeros((camera.height, camera.width), dtype=np.float32)
-        workers = thread_count()
-        pairs = len(geometry.ids)
+        workers, pairs = thread_count(), len(geometry.ids)
         out = np.empty((geometry.count, WEIGHT_SUMS), dtype=np.float32)
         largest = np.empty(geometry.count, dtype=np.float32)
         with borrow_workspace() as work:
             sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
-            bench = work.tile_bench(backward_scratch(1, WEIGHT_SUMS + 1))
-            pair_weights(geometry.lists, pixel_map.reshape(-1), sums, maxima, bench)
+            bench = work.tile_bench(backward_scratch(0, WEIGHT_SUMS + 1))
+            pair_weights(geometry.lists, sums, maxima, bench)
             gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, workers, out)
             gather_maxima(maxima, geometry.firsts, geometry.slots, workers, largest)
-        return out, largest
+        return out[:, 0].copy(), out[:, 1].copy(), largest
 
 
-def prepare_view(
-    model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings(), tile_mask: Bool | None = None
-) -> View:
+def prepare_view(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> View:
     """Project, sort and bin a model once, for many images or gradients of its colours, which are not looked at.
 
-    `tile_mask` (ceil(H / 16), ceil(W / 16)) are the tiles to draw; the others show the background. Cost follows the
-    mask. InputError if a shape is wrong or the image is too large.
+    InputError if a shape is wrong or the image is too large.
     """
     with borrow_workspace() as work:
-        geometry, _ = build_geometry(model, camera, settings, work, keep=True, tile_mask=tile_mask)
-    row = camera.viewmat[2]
-    depths = (model.means @ row[:3].astype(np.float32) + np.float32(row[3])).astype(np.float32)
-    return View(geometry, depths)
+        geometry, _ = build_geometry(model, camera, settings, work, keep=True)
+    return View(geometry)

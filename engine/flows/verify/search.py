@@ -33,7 +33,6 @@ from engine.flows.verify.suspect_evidence import (
 )
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.numerics.plain import Json
 from engine.registration.registration_search import register
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.layers import LAYERS
@@ -92,10 +91,6 @@ class Verification:
     seconds_by_stage: dict[str, float]
     cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
     reading: Reading | None = None  # that reading: where it was found, and by what
-
-    def report(self) -> Json:
-        """Plain values for `verify --json`."""
-        return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
 
 
 def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, places: int = 1) -> int:
