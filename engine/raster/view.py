@@ -8,15 +8,7 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, GaussianModel, Int32
-from engine.raster.backward import (
-    WEIGHT_SUMS,
-    backward_scratch,
-    gather_maxima,
-    gather_sums,
-    pair_colors,
-    pair_weights,
-    pair_width,
-)
+from engine.raster.backward import WEIGHT_SUMS, backward_scratch, gather_sums, pair_colors, pair_weights, pair_width
 from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.geometry import Geometry, build_geometry
 from engine.raster.settings import EarlyStop, RasterSettings
@@ -147,20 +139,16 @@ class View:
                 gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, workers, out[:, first:last])
         return out
 
-    def weights(self) -> tuple[Float32, Float32, Float32]:
-        """Of the blending weights w = alpha T of every Gaussian, over the pixels: sum of w (pixels covered), sum of w^2
-        and largest w, (N,) each; 0 for Gaussians that are not seen."""
+    def weights(self) -> tuple[Float32, Float32]:
+        """Of the blending weights w = alpha T of every Gaussian, over the pixels: sum of w (pixels covered) and sum of
+        w^2, (N,) each; 0 for Gaussians that are not seen."""
         geometry = self.geometry
-        workers, pairs = thread_count(), len(geometry.ids)
         out = np.empty((geometry.count, WEIGHT_SUMS), dtype=np.float32)
-        largest = np.empty(geometry.count, dtype=np.float32)
         with borrow_workspace() as work:
-            sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
-            bench = work.tile_bench(backward_scratch(0, WEIGHT_SUMS + 1))
-            pair_weights(geometry.lists, sums, maxima, bench)
-            gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, workers, out)
-            gather_maxima(maxima, geometry.firsts, geometry.slots, workers, largest)
-        return out[:, 0].copy(), out[:, 1].copy(), largest
+            sums = work.array("pairs", (len(geometry.ids) * WEIGHT_SUMS,))
+            pair_weights(geometry.lists, sums, work.tile_bench(backward_scratch(0, WEIGHT_SUMS)))
+            gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, thread_count(), out)
+        return out[:, 0].copy(), out[:, 1].copy()
 
 
 def prepare_view(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> View:

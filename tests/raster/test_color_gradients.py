@@ -43,10 +43,9 @@ def test_backward_is_the_adjoint_of_render() -> None:
 
 def test_weights(weights: np.ndarray) -> None:
     view = prepare_view(MODEL, camera())
-    sum_w, sum_w2, max_w = view.weights()
+    sum_w, sum_w2 = view.weights()
     assert relative(sum_w, weights.sum((1, 2))) <= TOLERANCE["typical gradient"]
     assert relative(sum_w2, (weights**2).sum((1, 2))) <= TOLERANCE["typical gradient"]
-    assert relative(max_w, weights.max((1, 2))) <= TOLERANCE["typical gradient"]
     unseen = np.setdiff1d(np.arange(200), view.visible)
     assert len(unseen) > 0
     assert (sum_w[unseen] == 0).all()
