@@ -10,7 +10,7 @@ runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning
 from engine.raster.geometry import count_overlaps
 from engine.raster.gradients import Gradients, Rendering, backward, draw
 from engine.raster.settings import EarlyStop, RasterSettings
-from engine.raster.spherical_harmonics import sh_basis, sh_colors, sh_colors_backward
+from engine.raster.spherical_harmonics import sh_basis, sh_colors
 from engine.raster.view import View, prepare_view, render, render_depth
 from engine.raster.workspace import release_memory
 
@@ -29,5 +29,4 @@ __all__ = [
     "render_depth",
     "sh_basis",
     "sh_colors",
-    "sh_colors_backward",
 ]

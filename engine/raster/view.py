@@ -18,27 +18,20 @@ from engine.raster.workspace import Workspace, borrow_workspace
 __all__ = ["View", "blend_colors", "prepare_view", "render", "render_depth"]
 
 _WIDTHS = (1, 3, 4)
-"""Numbers of channels that kernels are compiled for; others are padded to the next, more than 4 go in groups: wider
-kernels are long to compile, and nothing here draws more than five (LiDAR: colours, depth and its square)."""
+"""Numbers of channels that kernels are compiled for; two are padded to three, and more are not drawn at once."""
 
 
-def channel_groups(channels: int) -> list[tuple[int, int, int]]:
-    """(first, last + 1, compiled width) of the groups in which channels are drawn."""
-    groups = []
-    for first in range(0, channels, _WIDTHS[-1]):
-        last = min(channels, first + _WIDTHS[-1])
-        groups.append((first, last, next(w for w in _WIDTHS if w >= last - first)))
-    return groups
+def width_of(channels: int) -> int:
+    """Of the kernels that draw 1 to 4 channels."""
+    return next(width for width in _WIDTHS if width >= channels)
 
 
-def widened(array: Float32, first: int, last: int, width: int) -> Float32:
-    """Channels first..last of the last axis as C-contiguous float32, zeros up to the width."""
-    part = array[..., first:last]
-    if last - first < width:
-        wide = np.zeros((*part.shape[:-1], width), dtype=np.float32)
-        wide[..., : last - first] = part
-        return wide
-    return np.ascontiguousarray(part, dtype=np.float32)
+def widened(array: Float32, width: int) -> Float32:
+    """Channels of the last axis as C-contiguous float32, with zeros up to the width."""
+    missing = width - array.shape[-1]
+    if missing:
+        array = np.concatenate([array, np.zeros((*array.shape[:-1], missing), dtype=np.float32)], axis=-1)
+    return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def blend_colors(
@@ -84,26 +77,24 @@ class View:
     ) -> tuple[Float32, Float32]:
         """Blend colours front to back (Eq 3): image (H, W, C) and accumulated opacity (H, W), 0 to 1.
 
-        `colors` (N, C) float32, one per Gaussian of the model, any number of channels (3 with an `early` stop);
+        `colors` (N, C) float32, one per Gaussian of the model, C = 1 to 4 (3 with an `early` stop);
         `background` a scalar or (C,), 0 by default. InputError if a shape is wrong.
         """
         colors = np.asarray(colors)
-        if colors.ndim != 2 or len(colors) != self.geometry.count or colors.shape[1] < 1:
-            raise InputError(f"colors has shape {colors.shape}, expected ({self.geometry.count}, C)")
-        behind = np.zeros(colors.shape[1], dtype=np.float32)
+        if colors.ndim != 2 or len(colors) != self.geometry.count or not 1 <= colors.shape[1] <= _WIDTHS[-1]:
+            raise InputError(f"colors has shape {colors.shape}, expected ({self.geometry.count}, 1 to {_WIDTHS[-1]})")
+        channels = colors.shape[1]
+        behind = np.zeros(channels, dtype=np.float32)
         try:
             behind[:] = 0.0 if background is None else background
         except ValueError as error:
-            raise InputError(f"background must be one number or {colors.shape[1]}") from error
+            raise InputError(f"background must be one number or {channels}") from error
         if early is not None:
             return self._stopped(colors, behind, early)
-        images = []
+        width = width_of(channels)
         with borrow_workspace() as work:
-            for first, last, width in channel_groups(colors.shape[1]):
-                shades, rest = widened(colors, first, last, width), widened(behind, first, last, width)
-                image, alpha, _ = blend_colors(self.geometry, shades, rest, work)
-                images.append(image[..., : last - first])
-        return images[0] if len(images) == 1 else np.concatenate(images, axis=-1), alpha
+            image, alpha, _ = blend_colors(self.geometry, widened(colors, width), widened(behind, width), work)
+        return np.ascontiguousarray(image[..., :channels]), alpha
 
     def _stopped(self, colors: Float32, behind: Float32, early: EarlyStop) -> tuple[Float32, Float32]:
         if colors.shape[1] != 3 or early.weights.shape != (len(colors),):
@@ -126,18 +117,18 @@ class View:
         geometry = self.geometry
         camera = geometry.camera
         cotangent = np.asarray(cotangent)
-        if cotangent.ndim != 3 or cotangent.shape[:2] != (camera.height, camera.width) or cotangent.shape[2] < 1:
-            raise InputError(f"cotangent has shape {cotangent.shape}, expected ({camera.height}, {camera.width}, C)")
+        shape = (camera.height, camera.width)
+        if cotangent.ndim != 3 or cotangent.shape[:2] != shape or not 1 <= cotangent.shape[2] <= _WIDTHS[-1]:
+            raise InputError(f"cotangent has shape {cotangent.shape}, expected {(*shape, f'1 to {_WIDTHS[-1]}')}")
         out = np.empty((geometry.count, cotangent.shape[2]), dtype=np.float32)
-        workers = thread_count()
+        width = width_of(cotangent.shape[2])
+        pair = pair_width(width)
         with borrow_workspace() as work:
-            for first, last, width in channel_groups(cotangent.shape[2]):
-                pair = pair_width(width)
-                sums = work.array("pairs", (len(geometry.ids) * pair,))
-                bench = work.tile_bench(backward_scratch(width, pair))
-                flat = widened(cotangent, first, last, width).reshape(-1)
-                pair_colors(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
-                gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, workers, out[:, first:last])
+            sums = work.array("pairs", (len(geometry.ids) * pair,))
+            bench = work.tile_bench(backward_scratch(width, pair))
+            flat = widened(cotangent, width).reshape(-1)
+            pair_colors(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
+            gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, thread_count(), out)
         return out
 
     def weights(self) -> tuple[Float32, Float32]:

@@ -187,7 +187,7 @@ def test_lists_hold_every_disc_that_shows_and_few_more(seed: int) -> None:
     assert len(bounded) <= 1.2 * len(least)
 
 
-@pytest.mark.parametrize("channels", [1, 3, 8])
+@pytest.mark.parametrize("channels", [1, 3, 4])
 def test_backward_colors(channels: int) -> None:
     weights = twin.rasterize(DISCS, camera(), colors_for(200))[2]
     cotangent = np.random.default_rng(channels).normal(size=(47, 53, channels)).astype(np.float32)

@@ -102,8 +102,8 @@ def test_a_model_says_how_it_is_drawn() -> None:
     assert np.abs(told - as_before).max() > 0.01
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 11])
-def test_any_number_of_channels(channels: int) -> None:
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_one_to_four_channels(channels: int) -> None:
     model = random_model(120, 7, 1)
     colors = np.random.default_rng(channels).normal(size=(120, channels)).astype(np.float32)
     background = np.linspace(-1.0, 1.0, channels)
