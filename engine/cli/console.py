@@ -1,13 +1,20 @@
 """What the commands say: results on stdout, the rest on stderr; for machines JSON instead of both."""
 
+from __future__ import annotations
+
 import json
 import sys
+import textwrap
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from engine.numerics.plain import plain
+
+if TYPE_CHECKING:
+    from engine.present.wording import Words
+
 
 Progress = Callable[[str, float], None]
 
@@ -110,3 +117,21 @@ def _bar() -> Iterator[Progress]:
             display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0))
 
         yield callback
+
+
+WIDTH = 96
+"""Characters of a line of a claim."""
+_LABEL = 16
+PARTS = ("says", "does_not_say", "method", "record_time")
+
+
+def claim_lines(words: Words, *, headline: bool = True, parts: Sequence[str] = PARTS) -> list[str]:
+    """A claim as lines of at most WIDTH characters; `parts` of its meaning end it."""
+    lines = [*textwrap.wrap(f"{words.headline}. {words.finding}" if headline else words.finding, WIDTH), ""]
+    for fact in words.facts:
+        lines += textwrap.wrap(
+            fact.text, WIDTH, initial_indent=f"  {fact.label:<{_LABEL}}", subsequent_indent=" " * (_LABEL + 2)
+        )
+    for part in parts:
+        lines += ["", *textwrap.wrap(words.meaning[part], WIDTH)]
+    return lines

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from engine.cli.console import Console
+from engine.cli.console import WIDTH, Console
 from engine.cli.failures import INCONCLUSIVE, OK
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json
 from engine.cli.trust_options import Jwks, TsaCertificates, read_trust
 from engine.errors import InputError
-from engine.present.claim_text import WIDTH
 from engine.usecases.files import check_target, read_bytes, whole_file
 from engine.usecases.suspect import SuspectFiles
 
@@ -55,7 +54,7 @@ def dispute(
         check_target(report)
 
     from engine.flows.dispute.dispute import Party, settle
-    from engine.flows.records.attested_record import open_attested
+    from engine.flows.records.opened_record import open_attested
     from engine.present.dispute_text import dispute_page, dispute_words
     from engine.present.numerals import PLAIN
     from engine.watermark.keys import OwnerKey

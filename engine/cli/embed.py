@@ -117,6 +117,7 @@ def embed(
         raise InputError("give --message or --bits, not both: a message has a length of its own")
 
     from engine.flows.embed.profiles import compose
+    from engine.flows.embed.terms import MarkTerms
     from engine.formats import read_cameras
     from engine.records.record import Record
     from engine.usecases.mark import MarkRequest, mark
@@ -128,14 +129,16 @@ def embed(
         model=model,
         key=owner,
         outputs=_outputs(copy or [""], out, record),
-        config=compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ()),
+        terms=MarkTerms(
+            config=compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ()),
+            message=message_signs(message) if message is not None else None,
+            bits=bits or 32,
+            cameras=read_cameras(cameras) if cameras is not None else None,
+            registered_at=datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at,
+            earlier=Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None,
+        ),
         profile=profile,
         format=format_for(out, model),
-        message=message_signs(message) if message is not None else None,
-        bits=bits or 32,
-        cameras=read_cameras(cameras) if cameras is not None else None,
-        registered_at=datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at,
-        earlier=Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None,
         spz_frame=spz_frame,
         overwrite=force,
     )

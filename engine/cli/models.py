@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from engine.cli.console import Console
-from engine.errors import InputError
 
 if TYPE_CHECKING:
     from engine.formats import Repair
-
-DEMO_SCENE = "plant.splat"
 
 
 def format_for(path: Path, source: Path | None = None) -> str:
@@ -31,14 +28,3 @@ def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
     """Tell what was mended on loading."""
     for repair in repairs:
         console.note(f"repaired: {repair.text}")
-
-
-def shipped_scene() -> Path:
-    """The real scene that ships with the repository."""
-    scene = Path(__file__).resolve().parents[2] / "tests" / "data" / DEMO_SCENE
-    if not scene.is_file():
-        raise InputError(
-            f"the scene tests/data/{DEMO_SCENE} is not beside this installation (it ships with the"
-            " repository): name a model of your own"
-        )
-    return scene

@@ -14,7 +14,6 @@ SpzFrame = Annotated[
     typer.Option("--spz-frame", help="Axes of .spz input: auto, spec (as specified) or ply (as many tools write it)."),
 ]
 
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]
 
 Knobs = Annotated[
     list[str] | None,

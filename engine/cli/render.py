@@ -71,7 +71,7 @@ def render(
     if save_camera is not None:
         check_target(save_camera)
 
-    from engine.flows.views.early_stop import early_stop, render_early
+    from engine.flows.views.view_set import early_stop, render_early
     from engine.formats import read_model, write_cameras
     from engine.raster import render as draw
 

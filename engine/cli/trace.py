@@ -59,7 +59,7 @@ def trace(
     began = time.perf_counter()
     source, files = SuspectFiles.sort_out(suspects, cameras), _files(records)
 
-    from engine.flows.verify.verification import VerifyConfig
+    from engine.flows.verify.search import VerifyConfig
     from engine.usecases.trace import TraceRequest
     from engine.usecases.trace import trace as trace_copies
     from engine.watermark.keys import OwnerKey

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from engine.cli.console import Console
+from engine.cli.console import Console, claim_lines
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key, SpzFrame
-from engine.cli.regions import region_lines, write_regions
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
-from engine.present.claim_text import claim_lines
-from engine.usecases.files import check_folder, read_bytes
+from engine.usecases.files import check_folder, read_bytes, whole_folder
 from engine.usecases.read_ahead import Ahead
 from engine.usecases.suspect import SuspectFiles
 
@@ -29,6 +28,8 @@ WITHOUT_ORIGINAL = "the record is of a scene that moves: give --original to look
 
 if TYPE_CHECKING:
     from engine.flows.records.opened_record import OpenedRecord
+    from engine.flows.regions.region_search import RegionReport
+    from engine.flows.verify.search import Suspect, Verification
     from engine.records.attestation import Trust
     from engine.usecases.suspect import ReadSuspect
 
@@ -117,7 +118,7 @@ def verify(
         if original is not None:
             raise InputError("--regions needs a scene that stands still: leave --original out")
 
-    from engine.flows.verify.verification import VerifyConfig
+    from engine.flows.verify.search import VerifyConfig
     from engine.present.numerals import PLAIN
     from engine.present.wording import words_of
     from engine.usecases.verify import VerifyReport, VerifyRequest
@@ -183,7 +184,7 @@ class _Record:
 
     @classmethod
     def of(cls, record: Path, key: Path, attestations: Sequence[Path], trust: Trust) -> _Record:
-        from engine.flows.records.attested_record import open_attested
+        from engine.flows.records.opened_record import open_attested
         from engine.records.attestation import attach
         from engine.watermark.keys import OwnerKey
 
@@ -198,3 +199,48 @@ class _Record:
     def open(self) -> OpenedRecord:
         """See `flows.trace.candidates.Candidate`."""
         return self.result()[0]
+
+
+def write_regions(
+    folder: Path, report: RegionReport, suspect: Suspect, opened: OpenedRecord, found: Verification
+) -> None:
+    """The map, the numbers and the indices, in a new folder.
+
+    `regions.npz`: of each Gaussian of the suspect model, in its order, `piece` and `region` (-1: nothing of the asset)
+    and `state`; of each of the asset's, in its record's order, `asset_state`; `states` names what the numbers mean.
+    """
+    import numpy as np
+
+    from engine.flows.regions.region_search import describe
+    from engine.present.region_maps import draw_report
+    from engine.watermark.regions import State
+
+    with whole_folder(folder) as part:
+        draw_report(report, suspect, opened, found).save(part / "regions.png")
+        (part / "regions.json").write_text(json.dumps(describe(report, opened), indent=1))
+        piece, region, state = report.of_suspect
+        names = np.array([each.name.lower() for each in State])
+        rows = {"piece": piece, "region": region, "state": state, "asset_state": report.states, "states": names}
+        np.savez_compressed(part / "regions.npz", allow_pickle=False, **rows)
+
+
+def region_lines(report: RegionReport, folder: str) -> Iterator[str]:
+    """Where on the asset the mark is, and each piece of it in the suspect, for people."""
+    summary = report.summary()
+    yield ""
+    wrong = f" (at most {100 * report.false_discoveries:.2g} % of them expected not to be)" if summary["marked"] else ""
+    others = ", ".join(f"{summary[name]} {name}" for name in ("altered", "unclear", "unseen"))
+    yield f"Regions: {summary['marked']} marked{wrong}, {others}"
+    for number, piece in enumerate(report.pieces):
+        placed = piece.registration
+        if placed is None:
+            continue
+        moved = ", ".join(f"{x:.4g}" for x in placed.t)
+        hand = ", mirrored" if placed.mirrored else ""
+        yield (
+            f"  piece {number + 1}  {placed.derived_fraction:.0%} of the asset, {len(piece.rows[0]):,} Gaussians of the"
+            f" suspect, z = {piece.z:.1f}, scale {placed.scale:.4g}, moved by ({moved}){hand}"
+        )
+    if not report.claimed:
+        yield "  The claim is not made: regions are no proof by themselves."
+    yield f"  {folder}/regions.png, regions.json, regions.npz"

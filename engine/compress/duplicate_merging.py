@@ -4,8 +4,7 @@ import numpy as np
 import scipy
 
 from engine.model import Float64, GaussianModel, Int32
-from engine.numerics.flattening import flatten
-from engine.numerics.gaussians import covariances
+from engine.numerics.gaussians import covariances, flatten
 
 COLOR_GAP = 0.15
 """Largest DC difference (SH units, about 0.04 in colour) of a pair that may be merged."""

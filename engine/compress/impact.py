@@ -37,7 +37,7 @@ def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence
     for v, (view, image) in enumerate(zip(views, images, strict=True)):
         energy = np.sqrt(high_frequency_energy(np.clip(image, 0.0, 1.0))).astype(np.float32)
         busy += view.backward_colors(energy[:, :, None])[:, 0]
-        sum_w, sum_w2, _ = view.weights()
+        sum_w, sum_w2 = view.weights()
         per_view[v], squared = sum_w, squared + sum_w2
     coverage = per_view.sum(axis=0, dtype=np.float64)
     return Impact(coverage, per_view, busy, squared)

@@ -12,10 +12,9 @@ from scipy.spatial import cKDTree
 
 from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import GaussianModel, Int64
-from engine.numerics.gaussians import covariances, surface_mass, volume_mass
-from engine.numerics.moment_matching import merge_groups
+from engine.numerics.gaussians import covariances, merge_groups, surface_mass, volume_mass
 
-__all__ = ["merge_pairs", "merge_voxels"]
+__all__ = ["merge_pairs"]
 
 NEIGHBORS = 12
 """Among so many nearest Gaussians each one looks for its partner."""
@@ -23,39 +22,9 @@ NEIGHBORS = 12
 COLOR_STD = 0.2
 """Difference of spherical-harmonic coefficients that costs a pair as much as half a nat of shape."""
 
-LEVEL_STEP = 1.5
-"""Factor between the voxel sizes of two levels."""
 
 _THIN = 1e-8
 """Share of its trace added to a covariance, so that discs have a determinant."""
-
-
-def merge_voxels(model: GaussianModel, share: float) -> GaussianModel:
-    """The level of a voxel tree (Spark's) that has this share left, in (0, 1]: what is finer than a voxel becomes one.
-
-    Voxels grow by half a level, from the finest Gaussians on. In the last level only as many voxels are merged as the
-    share asks for, those of the fewest Gaussians first.
-    """
-    target = max(1, round(share * len(model)))
-    size = float(np.quantile(2.0 * np.exp(model.log_scales.max(axis=1)), 0.05))
-    size = max(size, 1e-6 * float(np.ptp(model.means, axis=0).max()), 1e-30)
-    while len(model) > target:
-        fine = np.flatnonzero(2.0 * np.exp(model.log_scales.max(axis=1)) <= size)
-        voxels = np.floor(model.means[fine] / size).astype(np.int64)
-        _, of, count = np.unique(voxels, axis=0, return_inverse=True, return_counts=True)
-        of = of.reshape(-1)
-        order = np.argsort(count, kind="stable")
-        spared = np.cumsum(count[order] - 1)  # Gaussians fewer after the first so many voxels
-        take = order[: int(np.searchsorted(spared, len(model) - target)) + 1]
-        merged = np.zeros(len(count), np.bool_)
-        merged[take] = True
-        first = np.empty(len(count), np.int64)
-        first[of[::-1]] = fine[::-1]
-        group = np.arange(len(model))
-        group[fine] = np.where(merged[of], first[of], fine)
-        model = merge_groups(model, _numbered(group), surface=True)
-        size *= LEVEL_STEP
-    return model
 
 
 def merge_pairs(model: GaussianModel, share: float, *, surface: bool) -> GaussianModel:
@@ -70,11 +39,11 @@ def merge_pairs(model: GaussianModel, share: float, *, surface: bool) -> Gaussia
         pairs = _pairs(model, len(model) - target, surface=surface)
         group = np.arange(len(model))
         group[pairs[:, 1]] = pairs[:, 0]
-        model = merge_groups(model, _numbered(group), surface=surface)
+        model = merge_groups(model, numbered(group), surface=surface)
     return model
 
 
-def _numbered(first: Int64) -> Int64:
+def numbered(first: Int64) -> Int64:
     """(N,) groups numbered from 0, from the first member of each Gaussian's group (N,)."""
     return (np.cumsum(first == np.arange(len(first))) - 1)[first]
 

@@ -9,7 +9,7 @@ from engine.errors import InputError
 from engine.kernels.jit import kernel
 from engine.model import Float32
 
-__all__ = ["difference_picture", "ms_ssim_distance", "psnr", "ssim", "ssim_maps"]
+__all__ = ["psnr", "ssim", "ssim_maps"]
 
 
 SSIM_RADIUS = 5
@@ -17,12 +17,6 @@ SSIM_RADIUS = 5
 SSIM_SIGMA = 1.5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 """Wang et al., K1 and K2 at a data range of 1."""
-
-SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
-"""Wang et al. 2003: exponents of the scales, finest first, measured with observers."""
-
-LEAST_SIDE = (2 * SSIM_RADIUS + 1) * 2 ** (len(SCALE_WEIGHTS) - 1)
-"""Pixels a side must have for the window to fit at the coarsest scale: 176."""
 
 
 def psnr(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
@@ -103,44 +97,6 @@ def compare_windows(mean_x: Any, mean_y: Any, square: Any, cross: Any) -> None:
         structure = (cross[i] + cross[i] - double + c2) / (square[i] - powers + c2)
         mean_x[i] = structure
         mean_y[i] = (double + total + half + c1) / (powers + total + half + c1)
-
-
-def difference_picture(a: npt.NDArray[Any], b: npt.NDArray[Any], gain: float = 20.0) -> Float32:
-    """`gain * |a - b|` of two images as for `psnr`, clipped to 0..1: what an eye can see of a difference."""
-    x, y = _pair(a, b)
-    return np.asarray(np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0))
-
-
-def ms_ssim_distance(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
-    """1 - MS-SSIM: a perceptual distance that needs no trained network, 0 for equal pictures, 1 for unrelated ones. It
-    is not LPIPS.
-
-    Of pictures (H, W, C) or (H, W) of at least 176 x 176 pixels, clipped as for `psnr`. Every scale halves the picture
-    by 2 x 2 means; contrast and structure count at all scales, luminance at the coarsest. A scale whose mean is
-    negative (structure inverted) counts as 0. InputError if the shapes differ, a side is too short, or a picture does
-    not hold floats.
-
-    Wang, Simoncelli, Bovik, "Multiscale structural similarity for image quality assessment", Asilomar 2003.
-    """
-    if min(a.shape[:2], default=0) < LEAST_SIDE:
-        raise InputError(f"MS-SSIM needs pictures of at least {LEAST_SIDE} pixels a side, got {a.shape}")
-    similarity = 1.0
-    for scale, weight in enumerate(SCALE_WEIGHTS):
-        structure, luminance = ssim_maps(a, b)
-        last = scale == len(SCALE_WEIGHTS) - 1
-        shared = structure * luminance if last else structure
-        similarity *= max(float(np.mean(shared, dtype=np.float64)), 0.0) ** weight
-        if not last:
-            a, b = _halved(a), _halved(b)
-    return 1.0 - similarity
-
-
-def _halved(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Means of 2 x 2 pixels of the clipped picture; an odd last row or column is left out."""
-    h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    even = np.clip(image[:h, :w], 0.0, 1.0)
-    half = (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) * even.dtype.type(0.25)
-    return np.asarray(half)
 
 
 def _pair(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float32]:

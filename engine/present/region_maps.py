@@ -71,7 +71,7 @@ def draw_states(view: View, states: Int32, image: Float32, alpha: Float32, *, ha
     return to_picture((alpha[..., None] * shaded + (1.0 - alpha[..., None])).astype(np.float32))
 
 
-def add_legend(picture: Image.Image, report: RegionReport, shown: Sequence[State] = tuple(State)) -> Image.Image:
+def add_legend(picture: Image.Image, report: RegionReport) -> Image.Image:
     """The picture above what its colours mean, how much of the asset has each, and how sure that is."""
     summary = report.summary()
     font, small = ImageFont.load_default(size=14), ImageFont.load_default(size=12)
@@ -85,18 +85,17 @@ def add_legend(picture: Image.Image, report: RegionReport, shown: Sequence[State
         about += [f"Counted over {len(report.pieces)} pieces; the asset is drawn by what tells most of them."]
     if not report.suspect_rows and summary["marked"]:
         about += ["Regions reach behind what a picture shows: of a picture they say where, not how much, is marked."]
-    if State.ALTERED in shown and summary["altered"]:
+    if summary["altered"]:
         about += ["Blue is measured, not proven: a mark of half its strength would have shown there."]
     if not report.claimed:
         about += ["THE CLAIM ITSELF IS NOT MADE: this map proves nothing by itself."]
     wide = max(40, (picture.width - 2 * _MARGIN) // 6)
     lines = [line for each in about for line in textwrap.wrap(each, wide)]
-    names = [state for state in reversed(State) if state in shown]
-    height = picture.height + _LINE * (len(names) + len(lines)) + 2 * _MARGIN
+    height = picture.height + _LINE * (len(State) + len(lines)) + 2 * _MARGIN
     sheet = Image.new("RGB", (picture.width, height), _PAPER)
     sheet.paste(picture, (0, 0))
     pen, top = ImageDraw.Draw(sheet), picture.height + _MARGIN
-    for state in names:
+    for state in reversed(State):
         name = state.name.lower()
         fill = tuple(round(255 * part) for part in COLORS[state])
         pen.rectangle((_MARGIN, top + 2, _MARGIN + 22, top + 14), fill=fill, outline=_INK)

@@ -4,15 +4,14 @@ All rooms above may import the names below: `render` for a picture; `prepare_vie
 of one view's colours; `draw` and `backward` for the gradients of everything. A newcomer starts at `geometry`, which
 runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning`), then reads `tiles` and `forward`;
 `backward` and `moments` walk the same tiles. The `lane_*` modules are sixteen numbers as one value inside numba.
-`engine.raster.autograd.rasterize` is the same as a torch operation (torch is imported only there).
+`engine.lab.raster.autograd.rasterize` is the same as a torch operation.
 """
 
 from engine.raster.geometry import count_overlaps
 from engine.raster.gradients import Gradients, Rendering, backward, draw
-from engine.raster.rendering import render, render_depth
 from engine.raster.settings import EarlyStop, RasterSettings
-from engine.raster.spherical_harmonics import sh_basis, sh_colors, sh_colors_backward
-from engine.raster.view import View, prepare_view
+from engine.raster.spherical_harmonics import sh_basis, sh_colors
+from engine.raster.view import View, prepare_view, render, render_depth
 from engine.raster.workspace import release_memory
 
 __all__ = [
@@ -30,5 +29,4 @@ __all__ = [
     "render_depth",
     "sh_basis",
     "sh_colors",
-    "sh_colors_backward",
 ]

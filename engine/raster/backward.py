@@ -14,7 +14,7 @@ import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store
-from engine.raster.lane_sums import max_rows, sum_rows
+from engine.raster.lane_sums import sum_rows
 from engine.raster.lanes import fma, maximum, spread
 from engine.raster.settings import TILE
 from engine.raster.tiles import (
@@ -36,8 +36,8 @@ _f = np.float32
 _AHEAD = 32  # pairs: about the time that a line takes from memory
 _SIXTEEN = (0,) * 16
 
-WEIGHT_SUMS = 4
-"""Sums of `pair_weights`: w, w^2, w * map, w^2 * map."""
+WEIGHT_SUMS = 2
+"""Sums of `pair_weights`: w and w^2."""
 
 
 def pair_width(channels: int) -> int:
@@ -123,21 +123,20 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
 
 
 @parallel_kernel
-def pair_weights(lists, pixel_map, sums, maxima, bench, call):
-    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
+def pair_weights(lists, sums, bench, call):
+    """Per pair: sums over the tile's pixels of w and w^2."""
     records, discs, ids, starts, width, height, tiles_x, limits = lists
     scratch, items, counter = bench
     log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
-    stage = FIELDS + FIELD
+    stage = FIELDS
     rows = stage + (BATCH + 1) * STAGE_ROW
-    peaks = rows + BATCH * WEIGHT_SUMS * 16
-    spare = peaks + BATCH * 16
+    spare, nothing = rows + BATCH * WEIGHT_SUMS * 16, spread(_f(0.0))
     for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
         lay_grid(own)
-        clear_rows(own, rows, BATCH * (WEIGHT_SUMS + 1))
+        clear_rows(own, rows, BATCH * WEIGHT_SUMS)
         while True:
             tile = fetch_add(counter, 0, 1)
             if tile >= tiles:
@@ -149,36 +148,25 @@ def pair_weights(lists, pixel_map, sums, maxima, bench, call):
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
             left, top = _f(x0), _f(y0)
             alive = open_tile(own, x0, y0, width, height)
-            fill_field(own, FIELDS, pixel_map, 1, 0, x0, y0, width, height)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own, stage, list_, records, discs, pixel_map, 0, ids, at, size, end, left, top, alive, log2_skip
+                    own, stage, list_, records, discs, sums, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
                     place, j, _, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * (WEIGHT_SUMS * 16)
-                    w2 = w * w
-                    m = load(own, FIELDS + place)
                     store(own, to, load(own, to) + w)
-                    store(own, to + 16, load(own, to + 16) + w2)
-                    store(own, to + 32, fma(w, m, load(own, to + 32)))
-                    store(own, to + 48, fma(w2, m, load(own, to + 48)))
-                    store(own, peaks + j * 16, maximum(load(own, peaks + j * 16), w))
+                    # As a maximum the square is rounded before it is added: fused, it would have other last digits.
+                    store(own, to + 16, load(own, to + 16) + maximum(w * w, nothing))
                     store(own, STATE + place, after)
                 write_sums(own, rows, size * WEIGHT_SUMS, spare, sums, at * WEIGHT_SUMS)
-                for group in range(BATCH // 16):
-                    store(own, spare, max_rows(own, peaks + group * 256, _SIXTEEN))
-                    for k in range(min(16, size - group * 16)):
-                        maxima[at + group * 16 + k] = own[spare + k]
-                clear_rows(own, rows, BATCH * (WEIGHT_SUMS + 1))
+                clear_rows(own, rows, size * WEIGHT_SUMS)
                 at += size
                 alive = living_blocks(own, alive, stop)
-            for k in range(at, end):
-                maxima[k] = _f(0.0)
-                for s in range(WEIGHT_SUMS):
-                    sums[k * WEIGHT_SUMS + s] = _f(0.0)
+            for k in range(at * WEIGHT_SUMS, end * WEIGHT_SUMS):
+                sums[k] = _f(0.0)
 
 
 @parallel_kernel
@@ -199,16 +187,3 @@ def gather_sums(values, pair_tuple, firsts, slots, shares, out, call):
                 at = np.int64(slots[s]) * pair
                 for channel in range(channels):
                     out[i, channel] += values[at + channel]
-
-
-@parallel_kernel
-def gather_maxima(values, firsts, slots, shares, out, call):
-    """out[i] = largest value among the pairs of Gaussian i, 0 if it has none."""
-    n = out.shape[0]
-    share = (n + shares - 1) // shares
-    for part in share_of(shares, call):
-        for i in range(part * share, min(n, (part + 1) * share)):
-            largest = _f(0.0)
-            for s in range(np.int64(firsts[i]), np.int64(firsts[i + 1])):
-                largest = max(largest, values[slots[s]])
-            out[i] = largest

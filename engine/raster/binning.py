@@ -59,10 +59,8 @@ def _columns(records, extents, rects, i, row, log2_skip):
 
 
 @inlined
-def _note(histogram, pairs, count, tile, i, tile_mask):
-    """One more pair, if the tile is drawn; returns how many there are, noted or not."""
-    if tile_mask.shape[0] > 0 and not tile_mask[tile]:
-        return count
+def _note(histogram, pairs, count, tile, i):
+    """One more pair; returns how many there are, noted or not."""
     tiles, owners = pairs
     histogram[tile] += 1
     if count < tiles.shape[0]:
@@ -72,9 +70,7 @@ def _note(histogram, pairs, count, tile, i, tile_mask):
 
 
 @parallel_kernel
-def list_pairs(
-    order, visible, records, bounds, tiles_x, tile_mask, log2_skip, histograms, sizes, tiles, owners, counts, call
-):
+def list_pairs(order, visible, records, bounds, tiles_x, log2_skip, histograms, sizes, tiles, owners, counts, call):
     """Walk the Gaussians front to back and note every (tile, Gaussian) pair.
 
     `bounds` is what `projection.project` wrote. Each share of the order fills its own row of `tiles` and `owners`
@@ -105,11 +101,11 @@ def list_pairs(
                 for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
                     first, last = _columns(records, extents, rects, i, row, log2_skip)
                     for column in range(first, last + 1):
-                        count = _note(own, pairs, count, row * tiles_x + column, i, tile_mask)
+                        count = _note(own, pairs, count, row * tiles_x + column, i)
             while cover != 0:
                 bit = np.int64(lowest_bit(cover))
                 cover &= cover - np.int32(1)
-                count = _note(own, pairs, count, corner + (bit // COVER) * tiles_x + bit % COVER, i, tile_mask)
+                count = _note(own, pairs, count, corner + (bit // COVER) * tiles_x + bit % COVER, i)
             sizes[i] = count - before
         counts[part] = count
 

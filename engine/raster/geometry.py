@@ -8,7 +8,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.kernels.thread_crew import thread_count
-from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
+from engine.model import Camera, Float32, GaussianModel, Int32, Int64
 from engine.raster.binning import list_pairs, list_starts, place_pairs
 from engine.raster.disc_projection import project_discs
 from engine.raster.lane_memory import aligned
@@ -23,7 +23,6 @@ _CHUNKS = 32
 _LANES = 16
 _MOST_PAIRS = 2**31 - 1
 _PAIRS_PER_GAUSSIAN = 3  # real scenes at a megapixel have about 2; more make room and walk again
-_NO_MASK = np.zeros(0, dtype=np.bool_)
 _NO_DISCS = np.zeros(0, dtype=np.float32)
 _EMPTY = np.zeros(0, dtype=np.int32)
 
@@ -47,11 +46,6 @@ class Geometry:
     def tiles_x(self) -> int:
         """Tiles per row."""
         return -(-self.camera.width // TILE)
-
-    @property
-    def tiles_y(self) -> int:
-        """Rows of tiles."""
-        return -(-self.camera.height // TILE)
 
     @property
     def limits(self) -> Float32:
@@ -132,14 +126,16 @@ def _project(
     return settings, _Projected(rows, records, discs, bounds, depths, index, chunk, counts)
 
 
-def count_overlaps(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> Int64:
+def count_overlaps(model: GaussianModel, camera: Camera) -> Int64:
     """(N,) tiles of an image that each Gaussian may touch, those of the rectangle around it; 0 where it is not seen.
 
     Costs one pass over the Gaussians, whatever they cover: what drawing them would cost is known before it is paid.
     """
     found_in = np.zeros(len(model), dtype=np.int64)
     with borrow_workspace() as work:
-        _, found = _project(model, camera, settings, work, lambda name, size, dtype: work.array(name, (size,), dtype))
+        _, found = _project(
+            model, camera, RasterSettings(), work, lambda name, size, dtype: work.array(name, (size,), dtype)
+        )
         seen = found.seen
         left, right, top, bottom = found.bounds[1].reshape(-1, 4)[seen].astype(np.int64).T
     found_in[seen] = (right - left + 1) * (bottom - top + 1)
@@ -147,27 +143,17 @@ def count_overlaps(model: GaussianModel, camera: Camera, settings: RasterSetting
 
 
 def build_geometry(
-    model: GaussianModel,
-    camera: Camera,
-    settings: RasterSettings,
-    work: Workspace,
-    *,
-    keep: bool,
-    tile_mask: Bool | None = None,
+    model: GaussianModel, camera: Camera, settings: RasterSettings, work: Workspace, *, keep: bool
 ) -> tuple[Geometry, Int32]:
     """Project, sort and bin; returns the geometry, and (N,) how many tiles each Gaussian touches, in the workspace.
 
     `keep`: the result owns its arrays and has `slots`, so that gradients can follow; else its arrays live in the
-    workspace and `slots` is empty. `tile_mask` (tiles_y, tiles_x): tiles to draw.
+    workspace and `slots` is empty.
     """
     n = len(model)
     tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
     if max(tiles_x, tiles_y) > np.iinfo(np.int16).max:
         raise InputError(f"an image of {camera.width}x{camera.height} is too large to draw")
-    mask = _NO_MASK if tile_mask is None else np.ascontiguousarray(tile_mask, dtype=np.bool_)
-    if tile_mask is not None and mask.shape != (tiles_y, tiles_x):
-        raise InputError(f"tile_mask has shape {mask.shape}, expected {(tiles_y, tiles_x)}")
-    mask = mask.ravel()
 
     def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray[Any, Any]:
         return aligned((size,), dtype) if keep else work.array(name, (size,), dtype)
@@ -191,11 +177,11 @@ def build_geometry(
         noted = work.array("pair tiles", (workers, capacity), np.int32)
         owners = work.array("pair owners", (workers, capacity), np.int32)
         counts = np.zeros(workers, dtype=np.int64)
-        list_pairs(order, seen, records, found.bounds, tiles_x, mask, skip, histograms, sizes, noted, owners, counts)
+        list_pairs(order, seen, records, found.bounds, tiles_x, skip, histograms, sizes, noted, owners, counts)
         if counts.sum() > _MOST_PAIRS:
             raise InputError(
                 f"{counts.sum()} pairs of tile and Gaussian are too many to draw at once, at most "
-                f"{_MOST_PAIRS} are possible; draw a smaller image or mask tiles"
+                f"{_MOST_PAIRS} are possible; draw a smaller image"
             )
         if counts.max() <= capacity:
             break

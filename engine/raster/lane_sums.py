@@ -1,4 +1,4 @@
-"""Sums and maxima across lanes, sixteen vectors at a time, and the 16 x 16 transpose."""
+"""Sums across lanes, sixteen vectors at a time, and the 16 x 16 transpose."""
 
 # mypy: allow-untyped-defs, allow-untyped-decorators, allow-untyped-calls
 from typing import Any
@@ -9,8 +9,8 @@ from engine.raster.lane_order import shuffle
 from engine.raster.lanes import lanes
 
 
-def _fold(b: Any, x: Any, y: Any, distance: int, combine: Any) -> Any:
-    """Halve two vectors by combining lanes `distance` apart; x and y alternate in groups of that many
+def _fold(b: Any, x: Any, y: Any, distance: int) -> Any:
+    """Halve two vectors by adding lanes `distance` apart; x and y alternate in groups of that many
     lanes."""
     near: list[int] = []
     far: list[int] = []
@@ -18,11 +18,11 @@ def _fold(b: Any, x: Any, y: Any, distance: int, combine: Any) -> Any:
         here = list(range(start, start + distance))
         near += here + [16 + i for i in here]
         far += [i + distance for i in here] + [16 + i + distance for i in here]
-    return combine(b, shuffle(b, x, y, near), shuffle(b, x, y, far))
+    return b.fadd(shuffle(b, x, y, near), shuffle(b, x, y, far), flags=FLAGS)
 
 
-def _transposed(b: Any, rows: list[Any], combine: Any) -> Any:
-    """One vector whose lane k combines all lanes of row k; missing rows give zero."""
+def _summed(b: Any, rows: list[Any]) -> Any:
+    """One vector whose lane k sums all lanes of row k; missing rows give zero."""
     current = rows + [None] * (LANES - len(rows))
     for distance in (8, 4, 2, 1):
         half = len(current) // 2
@@ -30,7 +30,7 @@ def _transposed(b: Any, rows: list[Any], combine: Any) -> Any:
         current = [
             None
             if x is None and y is None
-            else _fold(b, floats(0) if x is None else x, floats(0) if y is None else y, distance, combine)
+            else _fold(b, floats(0) if x is None else x, floats(0) if y is None else y, distance)
             for x, y in pairs
         ]
     return current[0]
@@ -40,14 +40,7 @@ def _transposed(b: Any, rows: list[Any], combine: Any) -> Any:
 def sum_rows(b, at, index, count):
     """Lane k of the result is the sum of the 16 numbers of row k, for as many rows as the tuple `count` is long."""
     rows = [load_vector(b, at(index), row) for row in range(count)]
-    return _transposed(b, rows, lambda b, x, y: b.fadd(x, y, flags=FLAGS))
-
-
-@on_array(lanes, "intp", None)
-def max_rows(b, at, index, count):
-    """As `sum_rows`, the largest number of each row."""
-    rows = [load_vector(b, at(index), row) for row in range(count)]
-    return _transposed(b, rows, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
+    return _summed(b, rows)
 
 
 @on_array("void", "intp", "intp")

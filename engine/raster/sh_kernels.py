@@ -15,7 +15,7 @@ from engine.raster.lane_order import unzip3, zip3
 from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import maximum, root, spread
 
-__all__ = ["SH_SCRATCH", "differentiate_group", "evaluate_sh", "spread_sh"]
+__all__ = ["SH_SCRATCH", "TURNED", "differentiate_group", "evaluate_sh", "set_direction", "sh_lanes", "store_colors"]
 
 
 SH_SCRATCH = 3 * 16 + 5 * 256
@@ -23,7 +23,7 @@ SH_SCRATCH = 3 * 16 + 5 * 256
 
 _f = np.float32
 _i = np.int32
-_BASIS, _TURNED, _PRODUCTS = 48, 48 + 256, 48 + 512
+_BASIS, TURNED, _PRODUCTS = 48, 48 + 256, 48 + 512
 _SIXTEEN = (0,) * 16
 _C0, _C1 = _f(SH_C0), _f(SH_C1)
 _C20, _C21, _C22 = (_f(c) for c in SH_C2)
@@ -93,7 +93,7 @@ def sh_lanes(own, coefficients):
             store(own, _BASIS + 208, x * (zz * _f(4.0) - xx - yy) * -_C32)
             store(own, _BASIS + 224, z * (xx - yy) * _C34)
             store(own, _BASIS + 240, x * (xx - yy * _f(3.0)) * -_C30)
-    transpose(own, _BASIS, _TURNED)
+    transpose(own, _BASIS, TURNED)
 
 
 @inlined
@@ -132,7 +132,7 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, rows, colors
             for g in range(filled):
                 at = who[g] * row
                 r, g_, b = load_colors(sh, at, row)
-                y = load(own, _TURNED + g * 16)
+                y = load(own, TURNED + g * 16)
                 store(own, _PRODUCTS + g * 16, r * y)
                 store(own, _PRODUCTS + 256 + g * 16, g_ * y)
                 store(own, _PRODUCTS + 512 + g * 16, b * y)
@@ -142,30 +142,6 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, rows, colors
             for g in range(filled):
                 for channel in range(3):
                     colors[who[g] * 3 + channel] = own[_BASIS + channel * 16 + g]
-
-
-@parallel_kernel
-def spread_sh(cotangent, colors, coefficients, means, position, scratch, out, call):
-    """out[i, k] = Y_k cotangent[i] where the colour was not clamped to 0, else 0. All arrays flat."""
-    n = means.shape[0] // 3
-    shares = scratch.shape[0]
-    share = (n + shares - 1) // shares
-    row = 3 * coefficients
-    for part in share_of(shares, call):
-        own = scratch[part]
-        end = min(n, (part + 1) * share)
-        for first in range(part * share, end, 16):
-            size = min(16, end - first)
-            for g in range(size):
-                set_direction(own, g, means, first + g, position)
-            sh_lanes(own, coefficients)
-            for g in range(size):
-                i = first + g
-                y = load(own, _TURNED + g * 16)
-                for channel in range(3):
-                    value = cotangent[3 * i + channel] if colors[3 * i + channel] > _f(0.0) else _f(0.0)
-                    store(own, channel * 16, y * value)
-                store_colors(out, i * row, row, end * row, load(own, 0), load(own, 16), load(own, 32))
 
 
 @inlined
@@ -214,7 +190,7 @@ def direction_gradient(own, coefficients):
 
 @inlined
 def differentiate_group(own, sh, coefficients, first, size, end, mean, position, values, d_sh):
-    """`spread_sh` of up to 16 Gaussians from row `first` on, into d_sh; returns dL/dmeans by way of the direction.
+    """d_sh[i, k] = Y_k values[i] of up to 16 Gaussians from row `first` on; returns dL/dmeans by way of the direction.
 
     mean : their centres (lanes); values : dL/dcolors (lanes), 0 where the colour was clamped; only rows below `end` may
     be written.
@@ -227,7 +203,7 @@ def differentiate_group(own, sh, coefficients, first, size, end, mean, position,
         store(own, _PRODUCTS + 256 + channel * 16, values[channel])
     for g in range(size):
         at = (first + g) * row
-        y = load(own, _TURNED + g * 16)
+        y = load(own, TURNED + g * 16)
         v0, v1, v2 = own[_PRODUCTS + 256 + g], own[_PRODUCTS + 272 + g], own[_PRODUCTS + 288 + g]
         store_colors(d_sh, at, row, end * row, y * v0, y * v1, y * v2)
         r, g_, b = load_colors(sh, at, row)

@@ -7,45 +7,31 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.kernels.thread_crew import thread_count
-from engine.model import Bool, Camera, Float32, GaussianModel, Int32
-from engine.raster.backward import (
-    WEIGHT_SUMS,
-    backward_scratch,
-    gather_maxima,
-    gather_sums,
-    pair_colors,
-    pair_weights,
-    pair_width,
-)
+from engine.model import Camera, Float32, GaussianModel, Int32
+from engine.raster.backward import WEIGHT_SUMS, backward_scratch, gather_sums, pair_colors, pair_weights, pair_width
 from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.geometry import Geometry, build_geometry
 from engine.raster.settings import EarlyStop, RasterSettings
+from engine.raster.spherical_harmonics import evaluate
 from engine.raster.workspace import Workspace, borrow_workspace
 
-__all__ = ["View", "blend_colors", "prepare_view"]
+__all__ = ["View", "blend_colors", "prepare_view", "render", "render_depth"]
 
 _WIDTHS = (1, 3, 4)
-"""Numbers of channels that kernels are compiled for; others are padded to the next, more than 4 go in groups: wider
-kernels are long to compile, and nothing here draws more than five (LiDAR: colours, depth and its square)."""
+"""Numbers of channels that kernels are compiled for; two are padded to three, and more are not drawn at once."""
 
 
-def channel_groups(channels: int) -> list[tuple[int, int, int]]:
-    """(first, last + 1, compiled width) of the groups in which channels are drawn."""
-    groups = []
-    for first in range(0, channels, _WIDTHS[-1]):
-        last = min(channels, first + _WIDTHS[-1])
-        groups.append((first, last, next(w for w in _WIDTHS if w >= last - first)))
-    return groups
+def width_of(channels: int) -> int:
+    """Of the kernels that draw 1 to 4 channels."""
+    return next(width for width in _WIDTHS if width >= channels)
 
 
-def widened(array: Float32, first: int, last: int, width: int) -> Float32:
-    """Channels first..last of the last axis as C-contiguous float32, zeros up to the width."""
-    part = array[..., first:last]
-    if last - first < width:
-        wide = np.zeros((*part.shape[:-1], width), dtype=np.float32)
-        wide[..., : last - first] = part
-        return wide
-    return np.ascontiguousarray(part, dtype=np.float32)
+def widened(array: Float32, width: int) -> Float32:
+    """Channels of the last axis as C-contiguous float32, with zeros up to the width."""
+    missing = width - array.shape[-1]
+    if missing:
+        array = np.concatenate([array, np.zeros((*array.shape[:-1], missing), dtype=np.float32)], axis=-1)
+    return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def blend_colors(
@@ -68,15 +54,13 @@ def blend_colors(
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Frozen geometry of one model and camera; made by `prepare_view`. `depth_of_all` (N,) is every Gaussian's camera
-    z.
+    """Frozen geometry of one model and camera; made by `prepare_view`.
 
     Holds 32 bytes a Gaussian, 8 bytes a visible one and 8 bytes a (tile, Gaussian) pair: about 30 MB for a real scene
     of 500k Gaussians at 1 megapixel. It keeps no reference to the model.
     """
 
     geometry: Geometry
-    depth_of_all: Float32
 
     @property
     def camera(self) -> Camera:
@@ -88,36 +72,29 @@ class View:
         """(V,) int32 indices of the Gaussians that may touch the image, nearest first."""
         return self.geometry.visible
 
-    @property
-    def depths(self) -> Float32:
-        """(V,) float32 depths (camera z, scene units) of `visible`."""
-        return self.depth_of_all[self.geometry.visible]
-
     def render(
         self, colors: Float32, background: npt.ArrayLike | None = None, early: EarlyStop | None = None
     ) -> tuple[Float32, Float32]:
         """Blend colours front to back (Eq 3): image (H, W, C) and accumulated opacity (H, W), 0 to 1.
 
-        `colors` (N, C) float32, one per Gaussian of the model, any number of channels (3 with an `early` stop);
+        `colors` (N, C) float32, one per Gaussian of the model, C = 1 to 4 (3 with an `early` stop);
         `background` a scalar or (C,), 0 by default. InputError if a shape is wrong.
         """
         colors = np.asarray(colors)
-        if colors.ndim != 2 or len(colors) != self.geometry.count or colors.shape[1] < 1:
-            raise InputError(f"colors has shape {colors.shape}, expected ({self.geometry.count}, C)")
-        behind = np.zeros(colors.shape[1], dtype=np.float32)
+        if colors.ndim != 2 or len(colors) != self.geometry.count or not 1 <= colors.shape[1] <= _WIDTHS[-1]:
+            raise InputError(f"colors has shape {colors.shape}, expected ({self.geometry.count}, 1 to {_WIDTHS[-1]})")
+        channels = colors.shape[1]
+        behind = np.zeros(channels, dtype=np.float32)
         try:
             behind[:] = 0.0 if background is None else background
         except ValueError as error:
-            raise InputError(f"background must be one number or {colors.shape[1]}") from error
+            raise InputError(f"background must be one number or {channels}") from error
         if early is not None:
             return self._stopped(colors, behind, early)
-        images = []
+        width = width_of(channels)
         with borrow_workspace() as work:
-            for first, last, width in channel_groups(colors.shape[1]):
-                shades, rest = widened(colors, first, last, width), widened(behind, first, last, width)
-                image, alpha, _ = blend_colors(self.geometry, shades, rest, work)
-                images.append(image[..., : last - first])
-        return images[0] if len(images) == 1 else np.concatenate(images, axis=-1), alpha
+            image, alpha, _ = blend_colors(self.geometry, widened(colors, width), widened(behind, width), work)
+        return np.ascontiguousarray(image[..., :channels]), alpha
 
     def _stopped(self, colors: Float32, behind: Float32, early: EarlyStop) -> tuple[Float32, Float32]:
         if colors.shape[1] != 3 or early.weights.shape != (len(colors),):
@@ -140,67 +117,76 @@ class View:
         geometry = self.geometry
         camera = geometry.camera
         cotangent = np.asarray(cotangent)
-        if cotangent.ndim != 3 or cotangent.shape[:2] != (camera.height, camera.width) or cotangent.shape[2] < 1:
-            raise InputError(f"cotangent has shape {cotangent.shape}, expected ({camera.height}, {camera.width}, C)")
+        shape = (camera.height, camera.width)
+        if cotangent.ndim != 3 or cotangent.shape[:2] != shape or not 1 <= cotangent.shape[2] <= _WIDTHS[-1]:
+            raise InputError(f"cotangent has shape {cotangent.shape}, expected {(*shape, f'1 to {_WIDTHS[-1]}')}")
         out = np.empty((geometry.count, cotangent.shape[2]), dtype=np.float32)
-        workers = thread_count()
+        width = width_of(cotangent.shape[2])
+        pair = pair_width(width)
         with borrow_workspace() as work:
-            for first, last, width in channel_groups(cotangent.shape[2]):
-                pair = pair_width(width)
-                sums = work.array("pairs", (len(geometry.ids) * pair,))
-                bench = work.tile_bench(backward_scratch(width, pair))
-                flat = widened(cotangent, first, last, width).reshape(-1)
-                pair_colors(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
-                gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, workers, out[:, first:last])
+            sums = work.array("pairs", (len(geometry.ids) * pair,))
+            bench = work.tile_bench(backward_scratch(width, pair))
+            flat = widened(cotangent, width).reshape(-1)
+            pair_colors(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
+            gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, thread_count(), out)
         return out
 
-    def weights(self) -> tuple[Float32, Float32, Float32]:
-        """Of the blending weights w = alpha T of every Gaussian, over the pixels: sum of w (pixels covered), sum of w^2
-        and largest w, (N,) each; 0 for Gaussians that are not seen."""
-        sums, maxima = self._pixel_sums(None)
-        return sums[:, 0].copy(), sums[:, 1].copy(), maxima
-
-    def weighted(self, pixel_map: Float32 | None = None) -> tuple[Float32, Float32]:
-        """Sums over pixels of w * map and of w^2 * map, (N,) each, for a map (H, W) that is 1 everywhere by default."""
-        camera = self.geometry.camera
-        if pixel_map is None:
-            sums, _ = self._pixel_sums(None)
-            return sums[:, 0].copy(), sums[:, 1].copy()
-        pixel_map = np.ascontiguousarray(pixel_map, dtype=np.float32)
-        if pixel_map.shape != (camera.height, camera.width):
-            raise InputError(f"pixel_map has shape {pixel_map.shape}, expected ({camera.height}, {camera.width})")
-        sums, _ = self._pixel_sums(pixel_map)
-        return sums[:, 2].copy(), sums[:, 3].copy()
-
-    def _pixel_sums(self, pixel_map: Float32 | None) -> tuple[Float32, Float32]:
-        """(N, 4) sums of w, w^2, w map, w^2 map and (N,) largest w."""
+    def weights(self) -> tuple[Float32, Float32]:
+        """Of the blending weights w = alpha T of every Gaussian, over the pixels: sum of w (pixels covered) and sum of
+        w^2, (N,) each; 0 for Gaussians that are not seen."""
         geometry = self.geometry
-        camera = geometry.camera
-        if pixel_map is None:
-            pixel_map = np.zeros((camera.height, camera.width), dtype=np.float32)
-        workers = thread_count()
-        pairs = len(geometry.ids)
         out = np.empty((geometry.count, WEIGHT_SUMS), dtype=np.float32)
-        largest = np.empty(geometry.count, dtype=np.float32)
         with borrow_workspace() as work:
-            sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
-            bench = work.tile_bench(backward_scratch(1, WEIGHT_SUMS + 1))
-            pair_weights(geometry.lists, pixel_map.reshape(-1), sums, maxima, bench)
-            gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, workers, out)
-            gather_maxima(maxima, geometry.firsts, geometry.slots, workers, largest)
-        return out, largest
+            sums = work.array("pairs", (len(geometry.ids) * WEIGHT_SUMS,))
+            pair_weights(geometry.lists, sums, work.tile_bench(backward_scratch(0, WEIGHT_SUMS)))
+            gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, thread_count(), out)
+        return out[:, 0].copy(), out[:, 1].copy()
 
 
-def prepare_view(
-    model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings(), tile_mask: Bool | None = None
-) -> View:
+def prepare_view(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> View:
     """Project, sort and bin a model once, for many images or gradients of its colours, which are not looked at.
 
-    `tile_mask` (ceil(H / 16), ceil(W / 16)) are the tiles to draw; the others show the background. Cost follows the
-    mask. InputError if a shape is wrong or the image is too large.
+    InputError if a shape is wrong or the image is too large.
     """
     with borrow_workspace() as work:
-        geometry, _ = build_geometry(model, camera, settings, work, keep=True, tile_mask=tile_mask)
+        geometry, _ = build_geometry(model, camera, settings, work, keep=True)
+    return View(geometry)
+
+
+def render(
+    model: GaussianModel, camera: Camera, background: npt.ArrayLike = 0.0, settings: RasterSettings = RasterSettings()
+) -> Float32:
+    """(H, W, 3) float32 image of a model, at least 0, not clipped at 1, over a background of one number or three.
+    InputError if a shape is wrong or the image is too large."""
+    behind = np.zeros(3, dtype=np.float32)
+    try:
+        behind[:] = background
+    except ValueError as error:
+        raise InputError("background must be one number or three") from error
+    with borrow_workspace() as work:
+        geometry, sizes = build_geometry(model, camera, settings, work, keep=False)
+        colors = work.array("colors", (len(model), 3))
+        evaluate(model.sh, model.means, camera.position.astype(np.float32), sizes, colors)
+        image, _, _ = blend_colors(geometry, colors, behind, work)
+    return image
+
+
+def render_depth(
+    model: GaussianModel, camera: Camera, background: npt.ArrayLike = 0.0, settings: RasterSettings = RasterSettings()
+) -> tuple[Float32, Float32, Float32]:
+    """Image (H, W, 3) as `render`'s, accumulated opacity (H, W) and expected depth (H, W), in one pass over the pixels.
+
+    Depth is the mean camera z of what is blended, weighted by blending weight, scene units; 0 where the opacity is 0.
+    """
+    behind = np.zeros(4, dtype=np.float32)
+    behind[:3] = background
     row = camera.viewmat[2]
-    depths = (model.means @ row[:3].astype(np.float32) + np.float32(row[3])).astype(np.float32)
-    return View(geometry, depths)
+    with borrow_workspace() as work:
+        geometry, sizes = build_geometry(model, camera, settings, work, keep=False)
+        colors, shades = work.array("colors", (len(model), 3)), work.array("shades", (len(model), 4))
+        evaluate(model.sh, model.means, camera.position.astype(np.float32), sizes, colors)
+        shades[:, :3] = colors
+        shades[:, 3] = model.means @ row[:3].astype(np.float32) + np.float32(row[3])
+        blended, alpha, _ = blend_colors(geometry, shades, behind, work)
+    depth = blended[..., 3] / np.maximum(alpha, np.finfo(np.float32).tiny)
+    return np.ascontiguousarray(blended[..., :3]), alpha, depth.astype(np.float32)

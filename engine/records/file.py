@@ -62,17 +62,15 @@ def seal(header: RecordHeader, body: bytes, key: OwnerKey) -> bytes:
     return data + sha256(data).digest()
 
 
-def unseal(data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> tuple[RecordHeader, bytes]:
+def unseal(data: bytes, key: OwnerKey) -> tuple[RecordHeader, bytes]:
     """Header and body of a file.
 
     RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key made
-    it; MalformedRecordError if it is no record, was damaged or altered, or would unpack to more than `max_body_bytes`.
+    it; MalformedRecordError if it is no record, was damaged or altered, or would unpack to more than `MAX_BODY_BYTES`.
     """
     data = split(data)[0]
     public, header, body_length = _open_public(data)  # 1. Whole, and of this version?
     check_key(header, key)  # 2. This key's?
-    if body_length > max_body_bytes:
-        raise MalformedRecordError(f"the record would unpack to {body_length} bytes, over {max_body_bytes}")
     try:  # 3. Neither body nor header altered?
         packed = AESSIV(_seal_key(key, public)).decrypt(memoryview(data)[len(public) : -_CHECKSUM_BYTES], [public])
     except InvalidTag:

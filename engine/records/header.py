@@ -33,6 +33,8 @@ TEXT_FIELDS = ("registered_at", "tool_version")
 FIELDS = (*HEX_LENGTHS, *TEXT_FIELDS, "format_version")
 
 Arrays = Mapping[str, npt.NDArray[Any]]
+Plan = tuple[Mapping[str, Any], Arrays]
+"""What is settled before the chips are drawn, as a record keeps it: JSON values and arrays."""
 
 
 def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:

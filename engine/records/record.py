@@ -17,12 +17,12 @@ import numpy.typing as npt
 from engine.errors import MalformedRecordError
 from engine.model import GaussianModel
 from engine.records.codec import canonical_json, pack, unpack
-from engine.records.file import MAX_BODY_BYTES, MEDIA_TYPE, read_header, seal, unseal
-from engine.records.header import Arrays, RecordHeader, chip_context, copy_digest, key_check, make_record_id
+from engine.records.file import MEDIA_TYPE, read_header, seal, unseal
+from engine.records.header import Arrays, Plan, RecordHeader, chip_context, copy_digest, key_check, make_record_id
 from engine.records.reference import decode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["MEDIA_TYPE", "Record", "RecordHeader", "chip_context", "make_record_id", "read_header"]
+__all__ = ["MEDIA_TYPE", "Plan", "Record", "RecordHeader", "chip_context", "make_record_id", "read_header"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,7 @@ class Record:
         reference_arrays: Arrays,
         *,
         original_digest: str,
-        plan: Mapping[str, Any],
-        plan_arrays: Arrays,
+        plan: Plan,
         extra: Mapping[str, Any] | None = None,
         copy: str = "",
         registered_at: str = "",
@@ -66,7 +65,7 @@ class Record:
         extra is no JSON, or an array is of a type that cannot be recorded.
         """
         digest = reference_digest(reference_arrays)
-        record_id = make_record_id(key, digest, copy, plan, plan_arrays)
+        record_id = make_record_id(key, digest, copy, *plan)
         header = RecordHeader(
             record_id=record_id.hex(),
             owner=key.fingerprint,
@@ -77,7 +76,7 @@ class Record:
             tool_version=this_version() if tool_version is None else tool_version,
             key_check=key_check(key, record_id),
         )
-        return cls(header, copy, plan, plan_arrays, extra or {}, reference_arrays)
+        return cls(header, copy, *plan, extra or {}, reference_arrays)
 
     def reference(self) -> GaussianModel:
         """The unmarked reference, decoded."""
@@ -94,14 +93,14 @@ class Record:
         return seal(self.header, body, key)
 
     @classmethod
-    def from_bytes(cls, data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> Record:
+    def from_bytes(cls, data: bytes, key: OwnerKey) -> Record:
         """Open a record file.
 
         RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key
-        made it; MalformedRecordError if it is no record, was damaged, would unpack to more than `max_body_bytes`, or
+        made it; MalformedRecordError if it is no record, was damaged, would unpack to more than `MAX_BODY_BYTES`, or
         its reference or plan is not the one its header names.
         """
-        header, body = unseal(data, key, max_body_bytes)
+        header, body = unseal(data, key)
         meta, arrays = unpack(body)
         if set(meta) != {"copy", "plan", "extra"} or not _is_text(meta["copy"]):
             raise MalformedRecordError("the record's body is malformed")

@@ -22,7 +22,7 @@ from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import SH_C0, Float32, Float64, GaussianModel, Int64
 from engine.numerics.similarity import MIRROR
 from engine.registration.hypotheses import chance_table
-from engine.registration.match_kernels import best_triples, evidence
+from engine.registration.match_kernels import Agreement, Pairs, best_triples, evidence
 
 __all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 
@@ -158,17 +158,16 @@ def agreement(sketch: Coarse, suspect: Crowd) -> float:
     best = 0.0
     for mirror in (np.ones(3), MIRROR):
         x = suspect.suspect.places[partner].astype(np.float64) * mirror
-        turns, moves, scores, _, _ = best_triples(
-            x, y, size, turn, seeds, DRAWS, SIZE, EDGE, -1.0, -1.0, extent, chance, 0
-        )
-        at = int(np.argmax(scores))
-        if scores[at] <= best:
+        pairs = Pairs(x, y, size, turn)
+        rules = Agreement(SIZE, EDGE, np.inf)
+        triples = best_triples(pairs, rules, extent, chance, seeds=seeds, draws=DRAWS, seed=0)
+        at = int(np.argmax(triples.scores))
+        if triples.scores[at] <= best:
             continue
+        R, moved = triples.turns[at], triples.moves[at]
         shuffles = [np.random.default_rng(i).permutation(len(y)) for i in range(SHUFFLES)]
-        accident = max(
-            float(evidence(x, y[s], size[s], turns[at], moves[at], SIZE, extent, chance)[0]) for s in shuffles
-        )
-        best = max(best, float(scores[at]) - accident)
+        accident = max(evidence(pairs.shuffled(s), R, moved, SIZE, extent, chance)[0] for s in shuffles)
+        best = max(best, float(triples.scores[at]) - accident)
     return best
 
 

@@ -14,20 +14,7 @@ import numpy as np
 from engine.model import Float64, Int64
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.match_candidates import Candidates
-from engine.registration.match_kernels import BINS, best_triples, degrees_of_agreement, evidence
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How exactly two candidates must agree.
-
-    `size`: difference of the two changes of log size. `edge`: between the log ratio of the distances and the change of
-    log size. `angle`: radians, between the two rotations and along the line; infinity leaves rotations out.
-    """
-
-    size: float
-    edge: float
-    angle: float
+from engine.registration.match_kernels import BINS, Agreement, Pairs, best_triples, degrees_of_agreement, evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +44,7 @@ def chance_table(means: Float64, extent: float, rng: np.random.Generator, sample
 
 
 def propose(
-    pairs: Candidates,
+    candidates: Candidates,
     turn: Float64,
     agreement: Agreement,
     extent: float,
@@ -72,32 +59,27 @@ def propose(
     `turn` (n, 4): rotation of each pair as unit quaternion, reference after suspect. `extent`: size of the reference,
     scene units. `chance` (BINS,): from `chance_table`. `draws` triples are drawn around each of `seeds` candidates.
     """
-    if len(pairs) < 4:
+    if len(candidates) < 4:
         return [], 0
-    trusted = np.isfinite(agreement.angle)
-    cos_half = math.cos(agreement.angle / 2) if trusted else -1.0
-    cos_line = math.cos(agreement.angle) if trusted else -1.0
-    rules = (agreement.size, agreement.edge, cos_half, cos_line)
-    degrees = degrees_of_agreement(pairs.x, pairs.y, pairs.size, turn, *rules)
+    pairs = Pairs(candidates.x, candidates.y, candidates.size, turn)
+    degrees = degrees_of_agreement(pairs, agreement)
     chosen = np.argsort(-degrees, kind="stable")[:seeds].astype(np.int64)
     tol_size = 2.0 * agreement.size
-    turns, moves, scores, bins, tries = best_triples(
-        pairs.x, pairs.y, pairs.size, turn, chosen, draws, *rules, extent, chance, seed
-    )
+    triples = best_triples(pairs, agreement, extent, chance, seeds=chosen, draws=draws, seed=seed)
     shuffles = [np.random.default_rng([seed, i]).permutation(len(pairs)) for i in range(3)]
     found: list[Hypothesis] = []
-    for s in np.argsort(-scores, kind="stable")[:8]:
-        if scores[s] <= 0:
+    for s in np.argsort(-triples.scores, kind="stable")[:8]:
+        if triples.scores[s] <= 0:
             break
-        fit = Similarity(float(moves[s, 0]), turns[s], moves[s, 1:].copy())
-        score, at = float(scores[s]), int(bins[s])
+        fit = Similarity(float(triples.moves[s, 0]), triples.turns[s], triples.moves[s, 1:].copy())
+        score, at = float(triples.scores[s]), int(triples.bins[s])
         inliers = _inliers(pairs, fit, tol_size, extent, at)
         for _ in range(3):
             better = robust_umeyama(pairs.x[inliers], pairs.y[inliers], rounds=5)
             if better is None:
                 break
             moved = np.concatenate([[better.scale], better.t])  # (4,)
-            new, new_at = evidence(pairs.x, pairs.y, pairs.size, better.R, moved, tol_size, extent, chance)
+            new, new_at = evidence(pairs, better.R, moved, tol_size, extent, chance)
             if new <= score:
                 break
             fit, score, at = better, float(new), int(new_at)
@@ -106,15 +88,13 @@ def propose(
             continue  # the same again
         # Two crowds laid upon each other explain much by accident, and shuffled pairs just as well.
         moved = np.concatenate([[fit.scale], fit.t])  # (4,)
-        accident = max(
-            evidence(pairs.x, pairs.y[p], pairs.size[p], fit.R, moved, tol_size, extent, chance)[0] for p in shuffles
-        )
+        accident = max(evidence(pairs.shuffled(p), fit.R, moved, tol_size, extent, chance)[0] for p in shuffles)
         found.append(Hypothesis(fit, score - accident, inliers))
     found.sort(key=lambda h: -h.evidence)
-    return found, int(tries.sum())
+    return found, int(triples.tries.sum())
 
 
-def _inliers(pairs: Candidates, fit: Similarity, tol_size: float, extent: float, at: int) -> Int64:
+def _inliers(pairs: Pairs, fit: Similarity, tol_size: float, extent: float, at: int) -> Int64:
     """Candidates that a similarity explains in size and, within tolerance number `at`, in position."""
     error2 = np.square(fit.apply(pairs.x) - pairs.y).sum(1)
     near = np.abs(pairs.size - math.log(fit.scale)) <= tol_size

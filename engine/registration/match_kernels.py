@@ -2,7 +2,11 @@
 
 # mypy: allow-untyped-defs
 
+from __future__ import annotations
+
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +16,57 @@ from engine.model import Float64, Int32, Int64
 
 BINS = 48
 """Tolerances tried per hypothesis: powers of sqrt(2) below the reference's extent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """n candidates: places in the suspect, x, and in the reference, y (n, 3); `size` (n,), the log of the reference's
+    size over the suspect's; and `turn` (n, 4), the unit quaternion of their rotation, reference after suspect."""
+
+    x: Float64
+    y: Float64
+    size: Float64
+    turn: Float64
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def shuffled(self, order: Int64) -> Pairs:
+        """The suspect's places beside other ones of the reference."""
+        return Pairs(self.x, self.y[order], self.size[order], self.turn)
+
+    def columns(self) -> Float64:
+        """(12, n): x (3), y (3), size, the factor that it is the logarithm of, turn (4)."""
+        parts = [self.x, self.y, self.size[:, None], np.exp(self.size)[:, None], self.turn]
+        return np.ascontiguousarray(np.concatenate(parts, axis=1).T)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How exactly two candidates must agree.
+
+    `size`: difference of the two changes of log size. `edge`: between the log ratio of the distances and the change of
+    log size. `angle`: radians, between the two rotations and along the line; infinity leaves rotations out.
+    """
+
+    size: float
+    edge: float
+    angle: float
+
+    @property
+    def cosines(self) -> tuple[float, float]:
+        """Of half the angle, and of all of it; -1 where rotations are left out."""
+        return (math.cos(self.angle / 2), math.cos(self.angle)) if math.isfinite(self.angle) else (-1.0, -1.0)
+
+
+class Triples(NamedTuple):
+    """The best triple around each of n seeds: R (n, 3, 3), (scale, t) (n, 4), evidence, bin and tries (n,) each."""
+
+    turns: Float64
+    moves: Float64
+    scores: Float64
+    bins: Int64
+    tries: Int64
 
 
 @inlined
@@ -34,24 +89,10 @@ def _agree(c, i, j, tol_size, wide, cos_half, cos_line):
     return fits & ((cos_half < 0.0) | turned)
 
 
-def _columns(x: Float64, y: Float64, size: Float64, turn: Float64) -> Float64:
-    """(12, n): x (3), y (3), size, the factor that it is the logarithm of, turn (4)."""
-    return np.ascontiguousarray(np.concatenate([x, y, size[:, None], np.exp(size)[:, None], turn], axis=1).T)
-
-
-def degrees_of_agreement(
-    x: Float64,
-    y: Float64,
-    size: Float64,
-    turn: Float64,
-    tol_size: float,
-    tol_edge: float,
-    cos_half: float,
-    cos_line: float,
-) -> Int32:
+def degrees_of_agreement(pairs: Pairs, rules: Agreement) -> Int32:
     """With how many others each candidate agrees, (n,) int32."""
-    out = np.zeros(len(x), np.int32)
-    count_agreeing(_columns(x, y, size, turn), tol_size, math.exp(2.0 * tol_edge), cos_half, cos_line, out)
+    out = np.zeros(len(pairs), np.int32)
+    count_agreeing(pairs.columns(), rules.size, math.exp(2.0 * rules.edge), *rules.cosines, out)
     return out
 
 
@@ -110,19 +151,12 @@ def _triple(x, y, i, j, k, turn, moved, room):
 
 
 def evidence(
-    x: Float64,
-    y: Float64,
-    size: Float64,
-    turn: Float64,
-    moved: Float64,
-    tol_size: float,
-    extent: float,
-    chance: Float64,
+    pairs: Pairs, turn: Float64, moved: Float64, tol_size: float, extent: float, chance: Float64
 ) -> tuple[float, int]:
     """Best log likelihood ratio of a similarity, R and (scale, t), over the tolerances, and which; after Moisan and
     Stival, IJCV 2004."""
-    columns = np.ascontiguousarray(np.concatenate([x, y, size[:, None]], axis=1).T)
-    errors = np.empty(len(x))
+    columns = np.ascontiguousarray(np.concatenate([pairs.x, pairs.y, pairs.size[:, None]], axis=1).T)
+    errors = np.empty(len(pairs))
     best, at = weigh(columns, turn, moved, tol_size, extent, chance, np.zeros(BINS), errors, errors.view(np.int64))
     return float(best), int(at)
 
@@ -160,29 +194,18 @@ def weigh(c, turn, moved, tol_size, extent, chance, counts, errors, bits):
 
 
 def best_triples(
-    x: Float64,
-    y: Float64,
-    size: Float64,
-    turn: Float64,
-    seeds: Int64,
-    draws: int,
-    tol_size: float,
-    tol_edge: float,
-    cos_half: float,
-    cos_line: float,
-    extent: float,
-    chance: Float64,
-    seed: int,
-) -> tuple[Float64, Float64, Float64, Int64, Int64]:
-    """Best triple around each seed: R (n, 3, 3), (scale, t) (n, 4), evidence, bin and tries (n,) each."""
+    pairs: Pairs, rules: Agreement, extent: float, chance: Float64, *, seeds: Int64, draws: int, seed: int
+) -> Triples:
+    """Best of so many triples drawn around each of the candidates `seeds`."""
     count = len(seeds)
     turns, moves = np.zeros((count, 3, 3)), np.zeros((count, 4))
     scores, bins, tries = np.zeros(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
-    rules, found = (tol_size, tol_edge, cos_half, cos_line, extent), (turns, moves, scores, bins, tries)
-    threads, errors = thread_count(), np.empty((thread_count(), len(x)))
+    limits, found = (rules.size, rules.edge, *rules.cosines, extent), Triples(turns, moves, scores, bins, tries)
+    threads, errors = thread_count(), np.empty((thread_count(), len(pairs)))
     room = np.empty((threads, 5, 3, 3)), np.empty((threads, 4 + BINS)), errors, errors.view(np.int64)
-    friends = np.empty((threads, len(x)), np.int64)
-    draw_triples(x, y, _columns(x, y, size, turn), seeds, draws, rules, chance, seed, (friends, *room), found)
+    friends = np.empty((threads, len(pairs)), np.int64)
+    columns, scratch = pairs.columns(), (friends, *room)
+    draw_triples(pairs.x, pairs.y, columns, seeds, draws, limits, chance, seed, scratch, tuple(found))
     return found
 
 

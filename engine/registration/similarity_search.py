@@ -16,9 +16,10 @@ from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, confirm_similarity, fit_suspect, same_order
-from engine.registration.hypotheses import Agreement, Hypothesis, propose
+from engine.registration.hypotheses import Hypothesis, propose
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
+from engine.registration.match_kernels import Agreement
 
 EXACT = Agreement(size=0.08, edge=0.08, angle=0.12)
 """Lossy trade formats: log scales in steps of 1/16, quaternions of 8 bits."""

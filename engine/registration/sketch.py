@@ -15,7 +15,6 @@ either; it only saves registering a suspect to models it has nothing to do with.
 
 from __future__ import annotations
 
-import math
 import struct
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +27,7 @@ from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import MIRROR
 from engine.registration.coarse import FEATURES, Coarse, Crowd, agreement, describe
 from engine.registration.match_candidates import by_region, invariant_features, log_sizes
-from engine.registration.match_kernels import degrees_of_agreement
+from engine.registration.match_kernels import Pairs, degrees_of_agreement
 from engine.registration.similarity_search import LOOSE, turns
 
 __all__ = ["ALIKE", "LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
@@ -168,15 +167,12 @@ class SuspectIndex:
         mine = found[np.argsort(-near.probability[found], kind="stable")[:MOST_PAIRS]]
         theirs = self._rows[near.index[mine]]
         size = (sketch.sizes[mine] - log_sizes(self.model, theirs).astype(np.float32)).astype(np.float64)
-        rules = (LOOSE.size, LOOSE.edge, math.cos(LOOSE.angle / 2), math.cos(LOOSE.angle))
         best = 0
         for mirrored in (False, True):
             means = self.model.means[theirs] * (MIRROR if mirrored else 1.0)
             turn = turns(sketch.quats[mine], self.model.quats[theirs], mirrored)
-            degrees = degrees_of_agreement(
-                means.astype(np.float64), sketch.means[mine].astype(np.float64), size, turn, *rules
-            )
-            best = max(best, int(degrees.max()))
+            pairs = Pairs(means.astype(np.float64), sketch.means[mine].astype(np.float64), size, turn)
+            best = max(best, int(degrees_of_agreement(pairs, LOOSE).max()))
         return best
 
 

@@ -13,21 +13,20 @@ geometry alone.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol, Self, TypeVar, Unpack
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
 from engine.errors import InputError
-from engine.flows.embed.embedding import Embedding, embed
+from engine.flows.embed.embedding import Embedding, embed_on_terms
 from engine.flows.embed.profiles import Auto, EmbedConfig
-from engine.flows.embed.terms import MarkOptions
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.embed.variant import Variant
 from engine.flows.progress import Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
-from engine.flows.verify.search import count_tries
+from engine.flows.verify.search import Verification, count_tries, verify_images, verify_model
 from engine.flows.verify.suspect_evidence import derivation_of_model
-from engine.flows.verify.verification import Verification, verify_images, verify_model
 from engine.flows.views.camera_rig import GOLDEN_ANGLE, LANDMARK_SIZE, make_rig
 from engine.model import Camera, Float32, GaussianModel, Int64
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
@@ -56,6 +55,12 @@ VISIBLE = 1.0 / 255.0
 
 LEAST_EMPHASIS = 0.2
 """Share of the full displacement that the most short-lived Gaussians still carry."""
+
+TRIED, ROUNDS = 9, 3
+"""Moments of the whole clip at which a model is looked for, and how often their distance is then halved."""
+
+BANK_VIEWS = 24
+"""Views of the landmarks by which pictures of one moment find their cameras."""
 
 
 class Moving(Protocol):
@@ -96,21 +101,21 @@ def key_times(moving: Moving, count: int) -> list[float]:
 def embed_moving(
     moving: M,
     key: OwnerKey,
+    terms: MarkTerms = MarkTerms(),
     *,
     original_sha256: str | None = None,
     copy: str = "",
     progress: Progress | None = None,
-    **options: Unpack[MarkOptions],
 ) -> tuple[M, Embedding]:
     """Mark a dynamic scene, whose unmarked original the owner keeps for verification.
 
     `original_sha256` is the digest of the owner's file, by default that of the arrays. The landmark bank is left out: a
-    canonical model is nothing a picture shows, `move_record` makes one. The `options` are those of
-    `engine.flows.embed.embedding.embed`, whose errors are raised; InputError for profile `auto`. Returns the marked
+    canonical model is nothing a picture shows, `move_record` makes one. Errors are those of
+    `engine.flows.embed.embedding.embed`; InputError for profile `auto`. Returns the marked
     scene, of the same kind, and an embedding whose model is the marked canonical one and whose record commits to the
     original.
     """
-    config = options.get("config") or EmbedConfig()
+    config = terms.config or EmbedConfig()
     if isinstance(config, Auto):
         raise InputError("a scene that moves is not rehearsed: name its settings instead of 'auto'")
     config = replace(config, landmark_views=0)
@@ -121,8 +126,9 @@ def embed_moving(
         emphasis=np.clip(moving.persistence(), LEAST_EMPHASIS, 1.0),
         commitments={COMMITMENT: digest},
     )
-    options = options | {"config": config, "variant": variant}
-    result = embed(canonical, key, original_sha256=original_sha256 or digest, copy=copy, progress=progress, **options)
+    terms = replace(terms, config=config, variant=variant)
+    original_sha256 = original_sha256 or digest
+    (result,) = embed_on_terms(canonical, key, [copy], terms, original_sha256=original_sha256, progress=progress)
     return moving.displaced(result.model), result
 
 
@@ -162,14 +168,12 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     return replace(opened, reference=reference, layout=layout, copies=copies, landmarks=landmarks, kept=kept)
 
 
-def find_time(
-    suspect: GaussianModel, opened: OpenedRecord, original: Moving, *, count: int = 9, rounds: int = 3, seed: int = 0
-) -> float | None:
+def find_time(suspect: GaussianModel, opened: OpenedRecord, original: Moving, *, seed: int = 0) -> float | None:
     """The moment at which the original looks most like a model exported from it; None where it is never found.
 
     Most Gaussians nearest to where they should be, in their own sizes. Only geometry and the registration's unmarked
-    features decide, so the search is no further try of a claim. It tries `count` moments over the whole clip, then
-    `rounds` times the neighbours of the best.
+    features decide, so the search is no further try of a claim. It tries `TRIED` moments over the whole clip, then
+    `ROUNDS` times the neighbours of the best.
     """
     shown = visible(suspect)
     rigid = RegistrationConfig(colorless=False, merged=False, deformed=False)  # a wrong moment is to fit badly
@@ -180,9 +184,9 @@ def find_time(
         return 0.0 if found.exactness is None else (found.gaussians or 0) / (1.0 + found.exactness**2)
 
     low, high = original.span
-    step = (high - low) / max(count - 1, 1)
-    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, count)}
-    for _ in range(rounds):
+    step = (high - low) / (TRIED - 1)
+    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, TRIED)}
+    for _ in range(ROUNDS):
         best = max(scores, key=lambda t: (scores[t], -t))
         if scores[best] == 0.0:
             return None
@@ -216,12 +220,11 @@ def verify_moving_images(
     times: Sequence[float],
     config: VerifyConfig | None = None,
     cameras: Sequence[Camera] | None = None,
-    landmark_views: int = 24,
 ) -> tuple[Verification, float]:
     """Do these pictures (h, w, 3), all of one moment, show the marked scene?
 
     `times` are the moments it may be; each is a place where all is asked, and all are counted. Unknown cameras are
-    found by a bank of `landmark_views`. Returns the best verification and its moment.
+    found by a bank of `BANK_VIEWS`. Returns the best verification and its moment.
     """
     if not times:
         raise InputError("no moment was given")
@@ -229,6 +232,6 @@ def verify_moving_images(
     config = replace(config, tries=count_tries(1, ("image",), config, places=len(times)))
     found: list[tuple[Verification, float]] = []
     for time in times:
-        moved = move_record(opened, original, time, landmark_views=0 if cameras else landmark_views)
+        moved = move_record(opened, original, time, landmark_views=0 if cameras else BANK_VIEWS)
         found.append((verify_images(images, moved, config, cameras), time))
     return min(found, key=lambda pair: pair[0].claim.log10_false_claim)

@@ -1,4 +1,4 @@
-"""Models compressed by k-means codebooks (Compact3D / CompGS); `codebook_marking` makes and marks them.
+"""Models compressed by k-means codebooks (Compact3D / CompGS); `scene_marking` marks them.
 
 Navaneet, Pourahmadi Meibodi, Abbasi Koohpayegani and Pirsiavash, "CompGS: Smaller and Faster Gaussian Splatting with
 Vector Quantization" (ECCV 2024): each group of attributes has a codebook, a Gaussian keeps one index a group.

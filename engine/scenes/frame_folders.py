@@ -112,22 +112,15 @@ def write_frames(sequence: FrameSequence, folder: str | os.PathLike[str]) -> int
     return sum(write_model(frame, base / f"time_{k:05d}.ply") for k, frame in enumerate(sequence.frames))
 
 
-def read_frames(
-    source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], times: Sequence[float] | None = None
-) -> FrameSequence:
-    """Read a folder (its ``.ply`` files in the order of their names), or a list, of exported models.
+def read_frames(folder: str | os.PathLike[str]) -> FrameSequence:
+    """Read a folder of exported models, its ``.ply`` files in the order of their names.
 
-    Their moments are spread evenly from 0 to 1 where not given. InputError if there are no files, or they do not belong
+    Their moments are spread evenly from 0 to 1. InputError if there are no files, or they do not belong
     together; FormatError if one cannot be read.
     """
-    if isinstance(source, str | os.PathLike):
-        folder = Path(source)
-        if not folder.is_dir():
-            raise InputError(f"{source}: is no folder")
-        paths: list[str | os.PathLike[str]] = [*frame_files(folder)]
-    else:
-        paths = list(source)
+    if not Path(folder).is_dir():
+        raise InputError(f"{folder}: is no folder")
+    paths = frame_files(folder)
     if not paths:
-        raise InputError(f"{source}: holds no .ply files")
-    moments = np.linspace(0.0, 1.0, len(paths)).tolist() if times is None else list(times)
-    return FrameSequence([read_model(path).model for path in paths], moments)
+        raise InputError(f"{folder}: holds no .ply files")
+    return FrameSequence([read_model(path).model for path in paths], np.linspace(0.0, 1.0, len(paths)).tolist())

@@ -1,7 +1,7 @@
 """Whatever a file or a folder holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
 
 The one door by which commands and service come in: `read_scene` and `write_scene`, between them
-`scene_marking.embed_variant`; and `Loaded.model` for whoever only looks. What a format of the output has no place for
+`scene_marking.embed_scene`; and `Loaded.model` for whoever only looks. What a format of the output has no place for
 is refused by `written_as`, never dropped.
 """
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,19 +12,14 @@ from engine.errors import InputError
 from engine.numerics.plain import Json, Report
 from engine.usecases.files import check_output, check_target, refuse_same, whole_file, whole_output, write_secret
 from engine.usecases.read_ahead import Ahead
-from engine.watermark.messages import check_bits
 
 if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding, EmbedReport
-    from engine.flows.embed.profiles import Settings
-    from engine.flows.embed.terms import MarkOptions
+    from engine.flows.embed.terms import MarkTerms
     from engine.flows.progress import Progress
     from engine.formats import Repair
-    from engine.model import Camera
-    from engine.records.record import Record
     from engine.scenes.scene_files import Loaded, Scene
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.messages import Signs
 
 __all__ = ["MarkAnswer", "MarkOutput", "MarkReport", "MarkRequest", "mark"]
 
@@ -48,15 +43,9 @@ class MarkRequest:
     model: Path  # model, clip or codebook folder
     key: OwnerKey
     outputs: Mapping[str, MarkOutput]  # by name of the recipient, "" for none; at least one
-    config: Settings  # see `flows.embed.profiles.compose`
+    terms: MarkTerms  # of every copy; see `flows.embed.profiles.compose` for its settings
     profile: str = "balanced"  # what the report calls the settings
     format: str | None = None  # of the marked model; default: the original's own, where that is written
-    message: Signs | None = None  # (B,) +-1; derived from the key where not given
-    bits: int = 32  # length of a derived message
-    cameras: Sequence[Camera] | None = None  # the owner's own; views are generated otherwise
-    registered_at: str = ""  # self-declared time of registration
-    drawn: str = ""  # what a third party that attests the registration drew for it
-    earlier: Record | None = None  # of another copy of this model: saves time
     name: str | None = None  # what errors call the model; default: its path
     spz_frame: str = "auto"  # axes of .spz input: "auto", "spec" or "ply"
     overwrite: bool = False  # whether records may be replaced
@@ -64,8 +53,6 @@ class MarkRequest:
     def __post_init__(self) -> None:
         if not self.outputs:
             raise InputError("no recipient was given")
-        if self.message is None:
-            check_bits(self.bits)
 
     def check_files(self) -> None:
         """Refuse outputs that cannot be written, before any work is done for them."""
@@ -73,20 +60,6 @@ class MarkRequest:
             refuse_same(self.model, each.model)
             check_output(each.model, self.format or "")
             check_target(each.record, overwrite=self.overwrite)
-
-    def options(self, kind: str) -> MarkOptions:
-        """The part that an embedding is told, for a delivered file of this format."""
-        from engine.flows.embed.profiles import delivered_as
-
-        return {
-            "message": self.message,
-            "bits": self.bits,
-            "config": delivered_as(self.config, kind),
-            "cameras": self.cameras,
-            "registered_at": self.registered_at,
-            "drawn": self.drawn,
-            "earlier": self.earlier,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +114,7 @@ def mark(
     from engine.scenes.scene_files import notes_of, output_of, read_scene, write_scene, written_as
 
     reading = Ahead(read_scene, request.model, name=request.name, spz_frame=request.spz_frame)
+    from engine.flows.embed.profiles import delivered_as
     from engine.scenes.scene_marking import embed_scene  # while the file is read
 
     progress("read", 0.0)
@@ -149,7 +123,8 @@ def mark(
     stages = {"read": time.perf_counter() - began}
     if prepare is not None:
         prepare(loaded)
-    marks = embed_scene(loaded, request.key, list(request.outputs), progress, **request.options(kind))
+    terms = replace(request.terms, config=delivered_as(request.terms.config, kind))
+    marks = embed_scene(loaded, request.key, list(request.outputs), terms, progress)
     for (scene, made), output in zip(marks, request.outputs.values(), strict=True):
         started = time.perf_counter()
         progress("write", 0.0)

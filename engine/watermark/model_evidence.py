@@ -113,11 +113,6 @@ class Residual:
     shares: Float64
 
 
-def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Evidence:
-    """What `compare_colors` finds in one call with what `gather_residual` makes of it."""
-    return gather_residual(layout, compare_colors(reference_dc, suspect_dc, mixtures))
-
-
 def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Residual:
     """Differences of colours, without what a global change of them explains.
 

@@ -19,7 +19,7 @@ choice of what to keep. It holds for a key that had no part in making the suspec
    and calls the rest his original.
 3. Weights or outlier rejection that look at chips * y.
 4. Listing one chip twice, say once per image: its terms share one sign, and the norm is too small
-   (`combine` sums instead).
+   (`model_evidence.Evidence.plus` sums instead).
 5. Not counting every hypothesis tried (`tries`).
 
 tests/theory plays 1, 2 and 4.
@@ -31,7 +31,6 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float64
-from engine.watermark.keys import SUBKEY_BYTES, keystream
 
 Signs = npt.NDArray[np.int8]
 
@@ -42,7 +41,6 @@ DISHONEST_CLAIMANT_RATE = 2.0**-128
 
 _LN10 = math.log(10.0)
 _LOST_BIT = 0.05  # prior of a bit whose signal was lost where the others kept theirs
-_WRONG_KEY_BATCH = 1 << 15  # keys at a time: partial sums and key bytes stay in cache
 
 
 def weighted_evidence(y: Float64, w: Float64) -> Float64:
@@ -168,48 +166,3 @@ def log10_binomial_tail(matches: int, bits: int) -> float:
         raise ValueError(f"{matches} of {bits} bits cannot match")
     ways = sum(math.comb(bits, j) for j in range(matches, bits + 1))
     return min(0.0, math.log10(ways) - bits * math.log10(2))
-
-
-def combine(ys: list[Float64], ws: list[Float64]) -> tuple[Float64, Float64]:
-    """One evidence out of several about the same chips (several images; a model and its renders).
-
-    Sums w * y per chip over the evidences, so each secret sign enters once and the theorem stands, provided no evidence
-    was weighted by how well the chips fit it. Weights must be in one unit (inverse variance of y is best). Appending
-    one list to another is sound only where their chips are different ones. Gives y, the weighted mean (0
-    where all weights are 0), and w, the sum of weights.
-    """
-    w: Float64 = np.sum(ws, axis=0, dtype=np.float64)
-    total: Float64 = np.sum([a * b for a, b in zip(ys, ws, strict=True)], axis=0, dtype=np.float64)
-    return np.divide(total, w, out=np.zeros_like(total), where=w > 0), w
-
-
-def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
-    """(count,) Z of keys that had no part in the evidence: samples of the null distribution, given y and w.
-
-    The message and the dealing of bits only flip signs that are fair anyway, so neither is asked for. Eight
-    chips at a time become one byte of keystream and one look-up of their 256 possible sums: 100,000 keys of
-    8,192 chips take about 0.2 s.
-
-    Parameters
-    ----------
-    y, w : (C,)
-    seed : bytes
-        32 bytes; the same seed gives the same keys.
-    """
-    if len(seed) != SUBKEY_BYTES:
-        raise ValueError(f"seed must have {SUBKEY_BYTES} bytes, got {len(seed)}")
-    c = weighted_evidence(y, w)
-    norm = math.sqrt(float(c @ c))
-    if norm == 0:
-        return np.zeros(count)
-    c = np.pad(c / norm, (0, -len(c) % 8)).reshape(-1, 8)  # (C/8, 8)
-    patterns = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little")
-    sums = c @ (2.0 * patterns.T - 1.0)  # (C/8, 256) every byte's signed sum
-    z = np.zeros(count)
-    for batch, start in enumerate(range(0, count, _WRONG_KEY_BATCH)):
-        part = z[start : start + _WRONG_KEY_BATCH]
-        stream = keystream(seed, len(sums) * len(part), f"null{batch}").reshape(len(sums), len(part))
-        terms = np.empty(len(part))
-        for row, signs in zip(sums, stream, strict=True):
-            part += np.take(row, signs, mode="clip", out=terms)  # any mode but the default writes `out` directly
-    return z

@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from engine.errors import MalformedRecordError
-from engine.flows.records.attested_record import attested_by
-from engine.flows.records.opened_record import OpenedRecord, open_record
+from engine.flows.records.opened_record import OpenedRecord, attested_by, open_record
 from engine.flows.trace.candidates import search
-from engine.flows.verify.search import Suspect
-from engine.flows.verify.verification import VerifyConfig
+from engine.flows.verify.search import Suspect, VerifyConfig
 from engine.records.attestation import Witness
 from engine.watermark.keys import OwnerKey
 from service.clock import LOG

@@ -6,6 +6,7 @@ from pathlib import Path
 from engine.catalogue.entry import Entry
 from engine.errors import Mark3DGSError
 from engine.flows.embed.profiles import compose
+from engine.flows.embed.terms import MarkTerms
 from engine.records.record import Record
 from engine.registration.sketch import make_sketch
 from engine.scenes.scene_files import output_of
@@ -26,20 +27,22 @@ def embed_mark(request: Request, folder: Path, progress: Progress) -> Reply:
         model=Path(request["model"]),
         key=key,
         outputs={request.get("copy") or "": MarkOutput(folder / files["model"], folder / files["record"])},
-        config=compose(
-            request["profile"],
-            psnr_db=request.get("psnr"),
-            output=request.get("output"),
-            budget_db=None if request.get("budget") is None else float(request["budget"]),
+        terms=MarkTerms(
+            config=compose(
+                request["profile"],
+                psnr_db=request.get("psnr"),
+                output=request.get("output"),
+                budget_db=None if request.get("budget") is None else float(request["budget"]),
+            ),
+            message=message_signs(request["message"]) if request.get("message") is not None else None,
+            bits=request.get("bits") or 32,
+            cameras=load_cameras(request.get("cameras")),
+            registered_at=request.get("registered_at") or "",
+            drawn=request.get("drawn") or "",
+            earlier=_earlier(request, key),
         ),
         profile=request["profile"],
         format=request.get("format"),
-        message=message_signs(request["message"]) if request.get("message") is not None else None,
-        bits=request.get("bits") or 32,
-        cameras=load_cameras(request.get("cameras")),
-        registered_at=request.get("registered_at") or "",
-        drawn=request.get("drawn") or "",
-        earlier=_earlier(request, key),
         name="the model",
         spz_frame=request.get("spz_frame") or "auto",
     )

@@ -8,8 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.flows.embed.copy_mark import mark_again
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.regions.region_search import RegionReport
-from engine.flows.verify.search import Suspect
-from engine.flows.verify.verification import Verification
+from engine.flows.verify.search import Suspect, Verification
 from engine.flows.views.display_view import choose_view, lay_over, to_picture
 from engine.flows.views.render_cost import is_drawable
 from engine.model import Bool, Camera, Float32, GaussianModel

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from engine.catalogue.catalogue import Catalogue
+from engine.catalogue.catalogue import Catalogue, screen_model, screen_pictures
 from engine.catalogue.entry import Entry
-from engine.catalogue.screening import screen_model, screen_pictures
 from engine.errors import FormatError
 from engine.formats import write_model
 from engine.registration.sketch import SuspectIndex

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from engine.flows.trace.candidates import Outcome
-from engine.flows.verify.search import Suspect
-from engine.flows.verify.verification import VerifyConfig
+from engine.flows.verify.search import Suspect, VerifyConfig
 from engine.present.checks import NO_RECORD, checks_of
 from engine.usecases.suspect import ReadSuspect
 from engine.usecases.verify import VerifyAnswer, VerifyRequest, verify

@@ -52,12 +52,10 @@ KERNELS = {"kernel", "parallel_kernel", "inlined"}
 WIDE = {
     "engine/kernels/native_probe.py": ["_probe"],
     "engine/lab/evaluate/cost/cost_cells.py": ["measure_size"],
+    "engine/lab/raster/autograd.py": ["forward", "rasterize"],
+    "engine/lab/raster/cuda.py": ["rasterize"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
     "engine/lab/sim/variants/variant_table.py": ["_row"],
-    "engine/raster/autograd.py": ["forward", "rasterize"],
-    "engine/raster/cuda.py": ["rasterize"],
-    "engine/records/record.py": ["make"],
-    "engine/registration/match_kernels.py": ["best_triples"],
     "service/claims/document.py": ["build_document"],
     "service/claims/issuing.py": ["issue_claim"],
 }

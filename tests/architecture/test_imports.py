@@ -17,7 +17,7 @@ SECONDS = 0.5
 RUN_BY_ALEMBIC = {"service.db.migrations.env"}
 """Works on a context that only Alembic makes."""
 
-TORCH_MODULES = {"engine.flows.embed.distortions", "engine.flows.embed.refinement", "engine.raster.autograd"}
+TORCH_MODULES = {"engine.flows.embed.distortions", "engine.flows.embed.refinement", "engine.lab.raster.autograd"}
 """Modules that are nothing without torch; everybody else imports them (or torch) inside a function."""
 
 OPENING = """
@@ -86,5 +86,5 @@ print(sorted(late & set(sys.modules)))
 
 def test_flows_open_without_what_only_some_of_their_work_needs() -> None:
     """Each costs every command a tenth to a quarter of a second; together they were half of what imports took."""
-    for module in ("engine.flows.embed.embedding", "engine.flows.verify.verification", "engine.flows.trace.tracing"):
+    for module in ("engine.flows.embed.embedding", "engine.flows.verify.search", "engine.flows.trace.tracing"):
         assert run(LATER, module) == "[]\n", module

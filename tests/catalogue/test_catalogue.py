@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from engine.catalogue import neighbors
-from engine.catalogue.catalogue import Catalogue
+from engine.catalogue.catalogue import SHOWN, Catalogue, screen_model, screen_pictures
 from engine.catalogue.entry import Entry
-from engine.catalogue.screening import SHOWN, screen_model, screen_pictures
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate import strangers

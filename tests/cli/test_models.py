@@ -7,7 +7,7 @@ import pytest
 
 from engine.formats.file_writing import loss_note
 from engine.model import GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 
 
 def model(coefficients: int) -> GaussianModel:

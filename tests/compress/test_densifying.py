@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.compress.densification import APART, densify
+from engine.flows.embed.delivery import APART, densify
 from engine.model import GaussianModel
 from engine.numerics.gaussians import covariances
 from tests.raster.scenes import random_model

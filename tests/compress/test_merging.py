@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from engine.compress.duplicate_merging import covariances, merge_duplicates
 from engine.model import GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 
 
 def scattered(n: int = 200) -> GaussianModel:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from engine.formats import FORMATS, read_model, write_model
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.scenes.codebook_files import write_codebook
-from engine.scenes.codebook_marking import make_codebook
 from tests.end_to_end.conftest import DATA, Marked, ask
 from tests.formats.ksplat_files import ksplat_of, section_of
 from tests.formats.models import random_model

@@ -44,7 +44,7 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_demo_without_its_scene_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("engine.cli.models.DEMO_SCENE", "gone.splat")
+    monkeypatch.setattr("engine.lab.cli.shared.DEMO_SCENE", "gone.splat")
     code, said = ask(capsys, "demo", "--out", tmp_path / "demo-out")
     assert code == 2
     assert "gone.splat" in said["error"]["message"]

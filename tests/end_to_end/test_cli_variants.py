@@ -11,11 +11,11 @@ import pytest
 
 from engine.flows.records.opened_record import open_record
 from engine.formats import encode_model, read_model, write_model
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.lab.sim.variants.synthetic import fit_spacetime, set_in_motion
 from engine.model import GaussianModel
 from engine.scenes.clip_marking import visible
 from engine.scenes.codebook_files import read_codebook, write_codebook
-from engine.scenes.codebook_marking import make_codebook
 from engine.scenes.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from engine.watermark.keys import OwnerKey
 from tests.end_to_end.conftest import SCENE, ask

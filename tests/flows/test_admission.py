@@ -58,8 +58,7 @@ def opened(
         KEY,
         encode_reference(golden_model()),
         original_digest="ab" * 32,
-        plan=changed(PLAN, plan),
-        plan_arrays=changed(plan_arrays(), arrays),
+        plan=(changed(PLAN, plan), changed(plan_arrays(), arrays)),
         extra=changed(EXTRA, extra),
     )
     record = replace(record, header=replace(record.header, format_version=version))
@@ -186,9 +185,7 @@ def test_fields_are_those_of_the_format() -> None:
 
 def test_a_small_file_does_not_become_a_large_body() -> None:
     """A hundred million bytes of nothing pack into ten thousand."""
-    record = Record.make(
-        KEY, encode_reference(golden_model()), original_digest="ab" * 32, plan=PLAN, plan_arrays=plan_arrays()
-    )
+    record = Record.make(KEY, encode_reference(golden_model()), original_digest="ab" * 32, plan=(PLAN, plan_arrays()))
     began = time.process_time()
     data = seal(record.header, bytes(100_000_000), KEY)
     assert len(data) < 100_000

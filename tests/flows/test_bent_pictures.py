@@ -7,7 +7,7 @@ import pytest
 
 from engine.flows.verify import suspect_evidence as picture_reading
 from engine.flows.verify import suspect_evidence as reading
-from engine.flows.verify.verification import Verification, verify_images
+from engine.flows.verify.search import Verification, verify_images
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene

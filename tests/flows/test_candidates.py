@@ -15,8 +15,7 @@ from engine.errors import MalformedRecordError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.regions.region_search import locate_mark
 from engine.flows.trace.candidates import Outcome, search
-from engine.flows.verify.search import Suspect, verify
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import Suspect, VerifyConfig, verify, verify_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.adversaries.collusion import collude

@@ -11,13 +11,14 @@ import pytest
 from engine.compress.hvq import HvqConfig
 from engine.errors import InputError
 from engine.flows.embed import auto_profile as choosing
-from engine.flows.embed.auto_profile import Choice, choose, rehearse, wanted_z
+from engine.flows.embed.auto_profile import Choice, choose, wanted_z
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import Auto, EmbedConfig, compose, profile
 from engine.flows.embed.variant import Variant
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import bench_key
+from engine.lab.evaluate.pareto.pareto_cells import rehearse
 from engine.model import GaussianModel
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 

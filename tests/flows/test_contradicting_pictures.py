@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.flows.verify.verification import verify_images
+from engine.flows.verify.search import verify_images
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene

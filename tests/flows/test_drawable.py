@@ -8,7 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views import view_set as scenes
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import MOST_PAIRS, SIDE, check_drawable

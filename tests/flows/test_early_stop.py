@@ -6,8 +6,7 @@ import numpy as np
 
 from engine.compress.impact import frequency_impact, measure_impact
 from engine.flows.views.camera_rig import make_rig
-from engine.flows.views.early_stop import SIZE, VIEWS, early_stop, render_early
-from engine.flows.views.view_set import look
+from engine.flows.views.view_set import SIZE, VIEWS, early_stop, look, render_early
 from engine.raster import render
 from tests.watermark.ball import ball_model
 

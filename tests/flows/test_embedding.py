@@ -12,7 +12,7 @@ from engine.flows.embed import landmark_bank
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.profiles import RefineConfig, profile
 from engine.flows.records.opened_record import landmarks_in, open_record
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import Camera, GaussianModel

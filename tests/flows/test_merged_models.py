@@ -8,8 +8,7 @@ import pytest
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.search import Suspect, verify
-from engine.flows.verify.verification import VerifyConfig
+from engine.flows.verify.search import Suspect, VerifyConfig, verify
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel

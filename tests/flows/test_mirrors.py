@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene

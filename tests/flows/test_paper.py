@@ -11,7 +11,7 @@ import pytest
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.profiles import PROFILES, EmbedConfig, profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from engine.flows.trace.tracing import trace_images
+from engine.flows.verify.search import verify_images
 from engine.flows.verify.suspect_evidence import ReferenceViews
-from engine.flows.verify.verification import verify_images
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.removal import wash
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from engine.raster import RasterSettings, render
 from engine.watermark.claim import SCATTERED
 from engine.watermark.statistics import z_threshold

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.flows.verify.search import Suspect, count_tries
-from engine.flows.verify.verification import VerifyConfig
+from engine.flows.verify.search import Suspect, VerifyConfig, count_tries
 from engine.lab.evaluate.marked_scene import MarkedScene
 
 

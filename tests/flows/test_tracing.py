@@ -12,7 +12,7 @@ from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.trace.tracing import trace_images, trace_model
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.truth import innocent_copies
 from engine.lab.evaluate.marked_scene import bench_key

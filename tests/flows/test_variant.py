@@ -9,7 +9,7 @@ from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.embed.variant import Variant
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
 

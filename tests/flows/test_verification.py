@@ -10,7 +10,7 @@ from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.truth import forge, wrong_key_rates
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key

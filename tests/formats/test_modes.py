@@ -15,7 +15,7 @@ from engine.formats import encode_model, read_model
 from engine.formats.file_writing import loss_note
 from engine.formats.modes import mode_of_comments
 from engine.formats.spz.stream import read_spz, write_spz
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from tests.formats.models import assert_same, names_of, ply_of, random_model, rows_for
 
 SAID = ("ply", "compressed.ply", "spz", "sog")

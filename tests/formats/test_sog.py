@@ -80,26 +80,6 @@ def test_pictures_of_few_colours_survive_bit_for_bit():
     np.testing.assert_allclose(second.means, first.means, rtol=1e-5, atol=1e-5)
 
 
-def test_a_given_palette_is_taken_as_it_is():
-    rng = np.random.default_rng(0)
-    codes, labels = rng.choice(np.linspace(-1, 1, 200), (70, 8, 3)), rng.integers(0, 70, 300)
-    model = random_model(2)
-    back, _ = read_sog(write_sog(model, palette=(codes, labels)), file="x")
-    expected = codes[labels][morton_order(position_codes(model.means)[0].astype(np.float32))]
-    np.testing.assert_array_equal(back.sh[:, 1:], expected.astype(np.float32))
-    for bad in (
-        (codes[:, :3], labels),
-        (codes, labels[:-1]),
-        (codes, labels - 1),
-        (codes[:69], np.full(300, 69)),
-        (codes, labels.astype(float)),
-        (np.where(codes == codes[0, 0, 0], np.nan, codes), labels),
-        (np.zeros((65537, 8, 3)), labels),
-    ):
-        with pytest.raises(InputError):
-            write_sog(model, palette=bad)
-
-
 def test_an_empty_model_is_refused():
     with pytest.raises(InputError, match="at least one"):
         write_sog(random_model(0).take(np.arange(0)))

@@ -10,7 +10,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 import pytest
 import typer
 
-from engine.cli import extra_commands
+from engine.cli import app as commands
 from engine.cli.app import run
 from engine.errors import InputError
 from engine.extras import load_extra
@@ -77,14 +77,12 @@ def without_lab(monkeypatch: pytest.MonkeyPatch) -> typer.Typer:
     """The program where the extra `lab` has a command, and one package of it is not installed."""
     entry = EntryPoint("attack", "engine.lab.cli.attack_command:attack", "mark3dgs.commands.lab")
     wanted = ["numpy>=2", 'numpy>=2; extra == "lab"', 'no-such-package>=1.2; extra == "lab"']
-    monkeypatch.setattr(extra_commands, "requires", lambda _: wanted)
-    monkeypatch.setattr(
-        extra_commands, "entry_points", lambda group: EntryPoints([entry] if group.endswith(".lab") else [])
-    )
+    monkeypatch.setattr(commands, "requires", lambda _: wanted)
+    monkeypatch.setattr(commands, "entry_points", lambda group: EntryPoints([entry] if group.endswith(".lab") else []))
     app = typer.Typer()
     app.callback()(lambda: None)
     monkeypatch.setattr("engine.cli.app.app", app)
-    monkeypatch.setattr("engine.cli.app._add_extra_commands", lambda: extra_commands.add_extra_commands(app))
+    monkeypatch.setattr("engine.cli.app._add_extra_commands", lambda: commands.add_extra_commands(app))
     return app
 
 

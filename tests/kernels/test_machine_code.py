@@ -188,7 +188,7 @@ from engine.formats import read_model
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import verify_images, verify_model
+from engine.flows.verify.search import verify_images, verify_model
 from engine.flows.warmup.kernel_warmup import warm_up
 from engine.raster import render
 from engine.watermark.keys import OwnerKey

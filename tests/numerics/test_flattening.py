@@ -7,7 +7,7 @@ import pytest
 
 from engine.compress.duplicate_merging import covariances
 from engine.model import DISC_THICKNESS, GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 
 
 def random_model(count: int) -> GaussianModel:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from engine.present.claim_text import WIDTH, claim_lines
+from engine.cli.console import WIDTH, claim_lines
 from engine.present.numerals import PLAIN
 from engine.present.wording import words_of
 from tests.present.test_wording import report

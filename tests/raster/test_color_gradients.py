@@ -7,7 +7,9 @@ import pytest
 import torch
 
 from engine.errors import InputError
-from engine.raster import prepare_view, sh_basis, sh_colors, sh_colors_backward
+from engine.lab.raster.sh_gradients import sh_colors_backward
+from engine.raster import prepare_view, sh_basis, sh_colors
+from engine.raster.spherical_harmonics import evaluate
 from tests.raster.scenes import TOLERANCE, camera, random_model, relative
 from tests.reference import raster as twin
 
@@ -21,7 +23,7 @@ def weights() -> np.ndarray:
         return twin.rasterize(twin.parameters(MODEL, camera()), 53, 47)[2].numpy()
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 9])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_backward_colors(weights: np.ndarray, channels: int) -> None:
     cotangent = np.random.default_rng(channels).normal(size=(47, 53, channels)).astype(np.float32)
     expected = np.einsum("nyx,yxc->nc", weights, cotangent)
@@ -43,16 +45,9 @@ def test_backward_is_the_adjoint_of_render() -> None:
 
 def test_weights(weights: np.ndarray) -> None:
     view = prepare_view(MODEL, camera())
-    sum_w, sum_w2, max_w = view.weights()
+    sum_w, sum_w2 = view.weights()
     assert relative(sum_w, weights.sum((1, 2))) <= TOLERANCE["typical gradient"]
     assert relative(sum_w2, (weights**2).sum((1, 2))) <= TOLERANCE["typical gradient"]
-    assert relative(max_w, weights.max((1, 2))) <= TOLERANCE["typical gradient"]
-    pixel_map = np.random.default_rng(0).random((47, 53)).astype(np.float32)
-    mapped, mapped2 = view.weighted(pixel_map)
-    assert relative(mapped, np.einsum("nyx,yx->n", weights, pixel_map)) <= TOLERANCE["typical gradient"]
-    assert relative(mapped2, np.einsum("nyx,yx->n", weights**2, pixel_map)) <= TOLERANCE["typical gradient"]
-    np.testing.assert_array_equal(view.weighted()[0], sum_w)
-    np.testing.assert_array_equal(view.weighted()[1], sum_w2)
     unseen = np.setdiff1d(np.arange(200), view.visible)
     assert len(unseen) > 0
     assert (sum_w[unseen] == 0).all()
@@ -82,7 +77,8 @@ def test_sh_of_some_gaussians_only() -> None:
     model = random_model(50, 5, 16)
     wanted = (np.arange(50) % 3 == 0).astype(np.int32)
     every = sh_colors(model.sh, model.means, np.zeros(3))
-    some = sh_colors(model.sh, model.means, np.zeros(3), wanted)
+    some = np.empty((50, 3), np.float32)
+    evaluate(model.sh, model.means, np.zeros(3, np.float32), wanted, some)
     np.testing.assert_array_equal(some[wanted == 1], every[wanted == 1])
 
 

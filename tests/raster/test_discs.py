@@ -187,7 +187,7 @@ def test_lists_hold_every_disc_that_shows_and_few_more(seed: int) -> None:
     assert len(bounded) <= 1.2 * len(least)
 
 
-@pytest.mark.parametrize("channels", [1, 3, 8])
+@pytest.mark.parametrize("channels", [1, 3, 4])
 def test_backward_colors(channels: int) -> None:
     weights = twin.rasterize(DISCS, camera(), colors_for(200))[2]
     cotangent = np.random.default_rng(channels).normal(size=(47, 53, channels)).astype(np.float32)
@@ -208,13 +208,12 @@ def test_backward_is_the_adjoint_of_render() -> None:
 def test_weights() -> None:
     weights = twin.rasterize(DISCS, camera(), colors_for(200))[2]
     view = prepare_view(DISCS, camera())
-    sum_w, sum_w2, max_w = view.weights()
+    sum_w, sum_w2 = view.weights()
     close = 10 * TOLERANCE["typical gradient"]
     assert relative(sum_w, weights.sum((1, 2))) <= close
     assert relative(sum_w2, (weights**2).sum((1, 2))) <= close
-    assert relative(max_w, weights.max((1, 2))) <= close
     pixel_map = np.random.default_rng(0).random((47, 53)).astype(np.float32)
-    mapped, _ = view.weighted(pixel_map)
+    mapped = view.backward_colors(pixel_map[:, :, None])[:, 0]
     assert relative(mapped, np.einsum("nyx,yx->n", weights, pixel_map)) <= close
 
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from engine.errors import InputError
+from engine.lab.raster.autograd import rasterize
 from engine.model import Camera, GaussianModel
 from engine.raster import Gradients, RasterSettings, backward, draw
-from engine.raster.autograd import rasterize
 from engine.raster.parameter_gradients import CHUNK
 from tests.raster.scenes import TOLERANCE, camera, random_model, relative
 from tests.reference import raster as twin

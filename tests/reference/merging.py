@@ -1,4 +1,4 @@
-"""Slow twin of engine.compress.levels_of_detail and engine.numerics.moment_matching: what one pair costs, which are
+"""Slow twin of engine.compress.levels_of_detail and engine.numerics.gaussians: what one pair costs, which are
 taken, what a group becomes."""
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from engine.registration.match_kernels import BINS, degrees_of_agreement, evidence
+from engine.registration.match_kernels import BINS, Agreement, Pairs, degrees_of_agreement, evidence
 from tests.reference import agreement
 
 
@@ -27,10 +27,10 @@ def pairs(n: int = 60) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, 
 
 @pytest.mark.parametrize("tolerance", [0.02, 0.1, 5.0])
 def test_evidence_is_that_of_the_slow_twin(tolerance: float) -> None:
-    x, y, size, _, R, moved = pairs()
+    x, y, size, turn, R, moved = pairs()
     chance = np.maximum(2.0 ** (-1.5 * np.arange(BINS)), 1e-7)
     wanted = agreement.evidence(x, y, size, R, moved, tolerance, 1.5, chance)
-    found = evidence(x, y, size, R, moved, tolerance, 1.5, chance)
+    found = evidence(Pairs(x, y, size, turn), R, moved, tolerance, 1.5, chance)
     assert found[1] == wanted[1]
     assert found[0] == pytest.approx(wanted[0], rel=1e-12)
     assert wanted[0] > 5.0
@@ -39,7 +39,6 @@ def test_evidence_is_that_of_the_slow_twin(tolerance: float) -> None:
 @pytest.mark.parametrize("angle", [0.12, 0.6, math.inf])
 def test_who_agrees_is_that_of_the_slow_twin(angle: float) -> None:
     x, y, size, turn, *_ = pairs()
-    cosines = (math.cos(angle / 2), math.cos(angle)) if math.isfinite(angle) else (-1.0, -1.0)
-    found = degrees_of_agreement(x, y, size, turn, 0.2, 0.15, *cosines)
+    found = degrees_of_agreement(Pairs(x, y, size, turn), Agreement(0.2, 0.15, angle))
     np.testing.assert_array_equal(found, agreement.degrees(x, y, size, turn, 0.2, 0.15, angle))
     assert found.max() > 10

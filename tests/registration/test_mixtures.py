@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from engine.model import GaussianModel
-from engine.numerics.gaussians import covariances, surface_mass
-from engine.numerics.moment_matching import merge_groups
+from engine.numerics.gaussians import covariances, merge_groups, surface_mass
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
 from engine.registration.mixtures import COLOR_STD, LIMIT, Mixtures, Parts, Wholes, likeliest_wholes, mix

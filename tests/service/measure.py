@@ -29,7 +29,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from engine.kernels.machine import machine_info
+from engine.lab.evaluate.machine import machine_info
 from tests.service import serving
 from tests.service.measure_kills import kill
 from tests.service.measure_load import copies, fairness

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import llvmlite.binding as llvm
 
-from engine.kernels.machine import machine_info
+from engine.lab.evaluate.machine import machine_info
 from tests.speed.programs import COMMANDS, COMPILE, IMPORTS, RASTER
 
 HERE = Path(__file__).parents[2]

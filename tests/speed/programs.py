@@ -8,9 +8,10 @@ __all__ = ["COMMANDS", "COMPILE", "IMPORTS", "RASTER"]
 RASTER = """
 import json, statistics, sys, time
 import numpy as np
+from engine.lab.raster.sh_gradients import sh_colors_backward
 from engine.lab.evaluate.bench.raster import bench_camera
 from engine.formats import read_model
-from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors_backward
+from engine.raster import Gradients, backward, draw, prepare_view, render
 model = read_model(sys.argv[1]).model
 camera = bench_camera(model, 1297, 840)
 rendering = draw(model, camera)
@@ -53,7 +54,7 @@ result = {}
 for name, module in {
     "import the command line": "engine.cli.app",
     "import embedding": "engine.flows.embed.embedding",
-    "import verification": "engine.flows.verify.verification",
+    "import verification": "engine.flows.verify.search",
 }.items():
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", "import " + module], check=True)

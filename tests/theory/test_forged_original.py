@@ -100,12 +100,12 @@ def test_fitting_the_plan_to_the_chips_changes_the_chips() -> None:
     def z_of(dealing: np.ndarray, chips: np.ndarray) -> Claim:
         return decide(Evidence(y, np.ones(3 * N), np.full(3 * N, 0.01)), Spreading(dealing, chips), MESSAGE)
 
-    plain = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN, plan_arrays={"bit_of": BIT_OF})
+    plain = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=(PLAN, {"bit_of": BIT_OF}))
     chips = signs(ATTACKER.derive(CHIPS, plain.header.chip_context()), 3 * N)
     plus, minus = int(np.argmax(MESSAGE)), int(np.argmin(MESSAGE))
     fitted = np.where(y * chips > 0, plus, minus)
     assert z_of(fitted, chips).meets_dishonest_claimant_rate  # with yesterday's chips it would be a claim ...
-    again = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN, plan_arrays={"bit_of": fitted})
+    again = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=(PLAN, {"bit_of": fitted}))
     opened = Record.from_bytes(again.to_bytes(ATTACKER), ATTACKER)
     redrawn = signs(ATTACKER.derive(CHIPS, opened.header.chip_context()), 3 * N)
     assert abs(z_of(fitted, redrawn).z) < 5  # ... but the record that holds this dealing draws others

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.watermark.keys import signs
-from engine.watermark.statistics import claim_z, combine, log10_binomial_tail, wrong_key_z, z_threshold
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.statistics import claim_z, log10_binomial_tail, z_threshold
 
 KEYS = 200_000
 SEED = bytes(range(32))
@@ -96,11 +98,11 @@ def test_listing_a_chip_twice_loses_the_bound_and_summing_keeps_it() -> None:
     twice, weights = np.concatenate([first, second]), np.ones(CHIPS)
     bit_of, message, keys = np.zeros(2 * CHIPS, int), np.ones(1, np.int8), 4000
     appended, summed = np.empty(keys), np.empty(keys)
-    y, w = combine([first, second], [weights, weights])
+    both = Evidence(first, weights, weights).plus(Evidence(second, weights, weights))
     chips = signs(SEED, keys * CHIPS).reshape(keys, CHIPS)
     for k in range(keys):
         appended[k] = claim_z(twice, np.ones(2 * CHIPS), bit_of, np.tile(chips[k], 2), message)
-        summed[k] = claim_z(y, w, bit_of[:CHIPS], chips[k], message)
+        summed[k] = claim_z(both.y, both.weights, bit_of[:CHIPS], chips[k], message)
     assert appended.std() == pytest.approx(np.sqrt(2), rel=0.05)  # its null is too wide ...
     assert (appended >= z_threshold(0.01)).mean() > 0.015  # ... and the bound is broken
     assert summed.std() == pytest.approx(1, rel=0.05)

@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from engine.flows.embed.profiles import profile
-from engine.flows.verify.verification import VerifyConfig, verify_images
+from engine.flows.verify.search import VerifyConfig, verify_images
 from engine.formats import write_model
 from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.flows.embed.profiles import profile
-from engine.flows.verify.verification import VerifyConfig, verify_images
+from engine.flows.verify.search import VerifyConfig, verify_images
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import write_model
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.model import Float32
 from engine.registration.mixtures import Mixtures
 from engine.watermark.layout import Layout
-from engine.watermark.model_evidence import SATURATION, gather_model_evidence, remove_affine_color
+from engine.watermark.model_evidence import SATURATION, Evidence, compare_colors, gather_residual, remove_affine_color
 from engine.watermark.paper_decoder import LAMBDA_FREQ, adaptive_weights, decode_paper, paper_steps
+
+
+def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Evidence:
+    """What `compare_colors` finds in one call with what `gather_residual` makes of it."""
+    return gather_residual(layout, compare_colors(reference_dc, suspect_dc, mixtures))
 
 
 def marked(n: int = 20_000, codes: int = 1024, seed: int = 0) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:

@@ -8,18 +8,17 @@ import math
 import numpy as np
 import pytest
 
+from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.watermark.keys import OwnerKey, signs
 from engine.watermark.power import expected_z, moments
 from engine.watermark.statistics import (
     DISHONEST_CLAIMANT_RATE,
     bit_sums,
     claim_z,
-    combine,
     decode_bits,
     log10_binomial_tail,
     log10_false_claim_bound,
     weighted_evidence,
-    wrong_key_z,
     z_threshold,
 )
 
@@ -146,14 +145,6 @@ def test_wrong_keys_match_enumeration() -> None:
     y = np.array([1.0, 2.0, -0.5, 0.25, 3.0])
     every = {round(float(np.dot(s, y) / np.linalg.norm(y)), 12) for s in itertools.product((-1, 1), repeat=5)}
     assert {round(float(z), 12) for z in wrong_key_z(y, np.ones(5), SEED, 2000)} == every
-
-
-def test_combining_is_a_weighted_mean() -> None:
-    y, w = combine(
-        [np.array([1.0, 5.0, 9.0]), np.array([3.0, 7.0, 9.0])], [np.array([1.0, 0, 0]), np.array([3.0, 2, 0])]
-    )
-    assert y.tolist() == [2.5, 7.0, 0.0]
-    assert w.tolist() == [4.0, 2.0, 0.0]
 
 
 def test_power_limits() -> None:

@@ -52,6 +52,7 @@ class Asset:
     """A model made ready to be marked for one recipient after another."""
 
     original: Groundwork  # of the model as it came
+    original_sha256: str  # of the owner's file
     terms: MarkTerms
     settings: EmbedConfig  # the chosen ones, where that was left open
     choice: Choice | None

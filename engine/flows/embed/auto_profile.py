@@ -23,7 +23,7 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import BIT_Z
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
-__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z", "ways"]
+__all__ = ["Choice", "Rehearsal", "choose", "wanted_z", "ways"]
 
 
 def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
@@ -208,14 +208,6 @@ def _spend(
                 chosen, kept, found = degree, one, promise
         tried.append(Way(degree, len(one.model), size, z))
     return kept, found, Spent(allowed_db, chosen, whole, tuple(tried))
-
-
-def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
-    """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
-    small = replace(config, view_size=VIEW_SIZE)
-    whole = replace(small, prune=replace(small.prune, budget_db=None))
-    ground = lay_groundwork(model, key, original_sha256, whole)
-    return Rehearsing(deliver(ground, whole, Clock()), None).at(whole)
 
 
 def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:

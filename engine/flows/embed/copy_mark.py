@@ -13,10 +13,11 @@ import numpy as np
 
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
-from engine.flows.records.opened_record import Drawn, Layers, OpenedRecord, PlanParts, draw_copy, draw_owner, plan_of
+from engine.flows.records.opened_record import Drawn, Layers, OpenedRecord, draw_copy, draw_owner, plan_of
 from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.records.record import Plan
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
 from engine.watermark.lattice import FREE, Lattices
@@ -43,7 +44,7 @@ class Committed:
     landmarks: Landmarks | None
     commitments: Mapping[str, str] = field(default_factory=dict)
 
-    def plan(self, model: GaussianModel, settled: Settled, draw: int = 0) -> PlanParts:
+    def plan(self, model: GaussianModel, settled: Settled, draw: int = 0) -> Plan:
         """The plan of one copy's draw."""
         layers = Layers(settled.plan.layout, settled.grain, settled.copies, draw)
         promised = self.message, self.cameras, self.landmarks, self.commitments
@@ -71,7 +72,7 @@ class Mark:
     """A marked model and the plan from which its chips follow."""
 
     model: GaussianModel
-    plan: PlanParts
+    plan: Plan
     copied: Float32 | float  # (N, D) displacement of the colours by the copy layer; 0 where there is none
     fidelity: Fidelity
 

@@ -28,12 +28,11 @@ from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
-from engine.flows.records.opened_record import PlanParts
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
-from engine.records.record import Record
+from engine.records.record import Plan, Record
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
@@ -122,15 +121,28 @@ def embed_copies(
     The same bytes as single embeddings, in a part of the time: what takes long is done once. The first report's
     seconds include it.
     """
+    return embed_on_terms(model, key, copies, MarkTerms(**options), original_sha256=original_sha256, progress=progress)
+
+
+def embed_on_terms(
+    model: GaussianModel,
+    key: OwnerKey,
+    copies: Sequence[str],
+    terms: MarkTerms,
+    *,
+    original_sha256: str,
+    progress: Progress | None = None,
+) -> Iterator[Embedding]:
+    """`embed_copies` with its options as one value."""
     clock = Clock(progress)
-    asset = _prepare(model, key, MarkTerms(original_sha256=original_sha256, **options), clock)
+    asset = _prepare(model, key, original_sha256, terms, clock)
     for copy in copies:
         yield _mark(asset, key, copy, clock)
         clock = Clock(progress)
 
 
 @one_blas_thread
-def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock) -> Asset:
+def _prepare(model: GaussianModel, key: OwnerKey, original_sha256: str, terms: MarkTerms, clock: Clock) -> Asset:
     """Everything up to the recipient's own part."""
     config, variant = terms.config, terms.variant
     choice: Choice | None = None
@@ -138,7 +150,7 @@ def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock
         if variant is not PLAIN:
             raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
         with clock.stage("choose"):  # 0
-            choice = choose(model, key, terms.length, config, terms.original_sha256, terms.cameras)
+            choice = choose(model, key, terms.length, config, original_sha256, terms.cameras)
         settings = choice.config
     else:
         settings = config or EmbedConfig()
@@ -151,7 +163,7 @@ def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock
         original = (
             choice.ground
             if choice
-            else lay_groundwork(model, key, terms.original_sha256, settings, terms.cameras, variant, clock)
+            else lay_groundwork(model, key, original_sha256, settings, terms.cameras, variant, clock)
         )
     # 2, 3, 4
     delivery = choice.delivery if choice else deliver(original, settings, clock)
@@ -163,6 +175,7 @@ def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock
         landmarks, seen = bank_of(delivery.model, original.extent, settings, clock, known)
     return Asset(
         original=original,
+        original_sha256=original_sha256,
         terms=terms,
         settings=settings,
         choice=choice,
@@ -198,9 +211,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         record = Record.make(
             key,
             asset.reference,
-            original_digest=terms.original_sha256,
-            plan=mark.plan[0],
-            plan_arrays=mark.plan[1],
+            original_digest=asset.original_sha256,
+            plan=mark.plan,
             extra={"settings": {**settings.told(), "bank": BANK}},
             copy=copy,
             registered_at=terms.registered_at,
@@ -232,7 +244,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
     return Embedding(marked, record, settings, report, asset.seen)
 
 
-def _check_shared(earlier: Record, plan: PlanParts, asset: Asset) -> None:
+def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
     """Refuse a second owner's layer on one model: whoever has a copy of each could tell both from their difference."""
     header, (ours, arrays) = earlier.header, plan
     if (header.reference_digest, header.owner) != (asset.digest.hex(), asset.key.fingerprint):

@@ -183,7 +183,7 @@ def compose(
     return Auto(config, keep_psnr)
 
 
-def delivered_as(settings: Settings, format: str) -> Settings:
+def delivered_as(settings: Settings | None, format: str) -> Settings | None:
     """The settings, knowing the format of the delivered file."""
     return replace(settings, format=format) if isinstance(settings, Auto) else settings
 

@@ -17,7 +17,6 @@ __all__ = ["MarkOptions", "MarkTerms"]
 class MarkTerms:
     """What an embedding is asked for; InputError where the length of the message is out of range."""
 
-    original_sha256: str  # hex digest of the owner's file; the record commits to it
     message: Signs | None = None  # (B,) +-1; derived from the key where not given
     bits: int = 32  # length of a derived message
     config: Settings | None = None  # Auto to have it chosen; default: `EmbedConfig()`, see `profiles.compose`

@@ -14,6 +14,7 @@ before.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from engine.flows.records.admission import admit
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int32
 from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
-from engine.records.record import Record, RecordHeader, chip_context, make_record_id
+from engine.records.attestation import Trust, Witness, read_attestations
+from engine.records.record import Plan, Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.copy_layer import CopyLayer
 from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.keys import COPY, LATTICE, OwnerKey
@@ -38,9 +40,6 @@ FIRST_STRENGTH = 2.4
 """Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
-
-PlanParts = tuple[Json, Arrays]
-"""A plan as a record keeps it."""
 
 DRAWN = "drawn"
 """Name of the commitment to what whoever attests the registration drew for the plan."""
@@ -114,7 +113,7 @@ def plan_of(
     commitments: Mapping[str, str] | None = None,
     *,
     antialiased: bool = False,
-) -> PlanParts:
+) -> Plan:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
     layout, grain, copies = layers.layout, layers.grain, layers.copies
     plan: Json = {"message": message_hex(message), "codes": list(layout.codes)}
@@ -166,7 +165,7 @@ class Drawn:
     lattice_key: bytes = field(default=b"", repr=False)  # of the dither with which marked values are rounded
 
 
-def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: PlanParts) -> Drawn:
+def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: Plan) -> Drawn:
     """What all copies with this plan have in common; `draw_copy` draws the rest."""
     shared = dict(plan[0])
     if "copies" in shared:
@@ -178,7 +177,7 @@ def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: Pla
     return Drawn(tint, grain_key(key, context), b"", key.derive(LATTICE, context))
 
 
-def draw_copy(key: OwnerKey, reference_digest: bytes, copy: str, plan: PlanParts) -> bytes:
+def draw_copy(key: OwnerKey, reference_digest: bytes, copy: str, plan: Plan) -> bytes:
     """The sub-key of one copy's layer."""
     return key.derive(COPY, chip_context(reference_digest, make_record_id(key, reference_digest, copy, *plan)))
 
@@ -261,3 +260,26 @@ def landmarks_in(arrays: Mapping[str, npt.NDArray[Any]]) -> Landmarks | None:
     if "landmarks/points" not in arrays:
         return None
     return Landmarks(*(arrays[f"landmarks/{name}"] for name in ("points", "descriptors", "views")))
+
+
+def open_attested(data: bytes, key: OwnerKey, trust: Trust) -> tuple[OpenedRecord, tuple[str, ...]]:
+    """A record, attested by whom the reader trusts, and what is to be said of other attestations.
+
+    Errors are those of `open_record`; a record whose attestations do not count is opened all the same.
+    """
+    witnesses: tuple[Witness, ...] = ()
+    notes: tuple[str, ...] = ()
+    if read_attestations(data):
+        from engine.records.witnessing import check_attestations  # certificates take a tenth of a second to import
+
+        witnesses, notes = check_attestations(data, trust)
+    opened = open_record(data, key)
+    return replace(opened, attested=attested_by(opened, witnesses)), notes
+
+
+def attested_by(opened: OpenedRecord, witnesses: tuple[Witness, ...]) -> Attested | None:
+    """The word that counts most: of one who drew a part of the plan, then the earliest."""
+    own = opened.commitments.get(DRAWN, "")
+    digest = sha256(own.encode()).hexdigest() if own else "nothing was drawn"
+    words = [Attested(each.at, each.by, each.drawn_sha256 == digest) for each in witnesses]
+    return min(words, key=lambda word: (not word.drawn, word.moment), default=None)

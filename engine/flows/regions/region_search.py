@@ -107,7 +107,7 @@ class RegionReport:
 
 @one_blas_thread
 def locate_mark(
-    suspect: Suspect, opened: OpenedRecord, found: Verification, config: RegionConfig | None = None, *, seed: int = 0
+    suspect: Suspect, opened: OpenedRecord, found: Verification, config: RegionConfig | None = None
 ) -> RegionReport:
     """Pieces and regions of a suspect in which `verify` with the same record `found` what it found."""
     config = config or RegionConfig()
@@ -119,7 +119,7 @@ def locate_mark(
     said: list[tuple[Registration | None, list[Evidence]]] = []
     registration = reading.registration
     if model is not None and registration is not None and registration.found:
-        for piece in register_pieces(opened.reference, model, first=registration, seed=seed):
+        for piece in register_pieces(opened.reference, model, first=registration):
             own = reading.evidence if piece is registration else read_gaussians(model, opened, piece)
             said.append((piece, [own]))
     else:

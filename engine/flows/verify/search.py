@@ -1,5 +1,8 @@
 """The search: is this record's mark in this suspect? Hypotheses, tries and routes, once (DESIGN 4.9).
 
+Routes: `model` (the suspect's Gaussians against the reference's), `render` (the suspect model seen at the pose key
+as a black box), `image` (pictures whose camera is known, or found). One decoder reads all evidence.
+
 1. What is asked is fixed, and counted: every record along every route at every place is three tries, walked or not:
    tint and grain together and each alone. Of pictures and of Gaussians it is six: they are read in two ways.
 2. Of many records only those are asked whose asset the suspect resembles (`engine.catalogue`, blind to chips).
@@ -31,13 +34,23 @@ from engine.flows.verify.suspect_evidence import (
 )
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.numerics.plain import Json
 from engine.registration.registration_search import register
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.layers import LAYERS
 from engine.watermark.model_evidence import Evidence
 
-__all__ = ["Answer", "Reading", "Suspect", "Verification", "count_tries", "readings", "verify"]
+__all__ = [
+    "Answer",
+    "Reading",
+    "Suspect",
+    "Verification",
+    "VerifyConfig",
+    "count_tries",
+    "readings",
+    "verify",
+    "verify_images",
+    "verify_model",
+]
 
 
 WAYS = {"image": 2, "model": 2}
@@ -80,10 +93,6 @@ class Verification:
     seconds_by_stage: dict[str, float]
     cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
     reading: Reading | None = None  # that reading: where it was found, and by what
-
-    def report(self) -> Json:
-        """Plain values for `verify --json`."""
-        return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
 
 
 def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, places: int = 1) -> int:
@@ -192,3 +201,21 @@ class Answer:
         if best.claim.verdict is Verdict.INCONCLUSIVE:
             best = replace(best, claim=replace(best.claim, notes=self._notes))
         return best
+
+
+def verify_model(
+    suspect: GaussianModel, opened: OpenedRecord, config: VerifyConfig | None = None, progress: Progress | None = None
+) -> Verification:
+    """Does this model carry the record's mark? See `search.verify`."""
+    return verify(Suspect(suspect), opened, config, progress)
+
+
+def verify_images(
+    images: Sequence[Float32],
+    opened: OpenedRecord,
+    config: VerifyConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    progress: Progress | None = None,
+) -> Verification:
+    """Do these pictures, all together, show a model that carries the record's mark? See `search.Suspect`."""
+    return verify(Suspect(None, images, cameras), opened, config, progress)

@@ -143,7 +143,7 @@ def _alignment() -> None:
 
 def _colors() -> None:
     model, _ = _scene()
-    raster.sh_colors_backward(raster.sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3))
+    raster.sh_colors(model.sh, model.means, np.zeros(3))
 
 
 def _pictures() -> None:

@@ -38,14 +38,12 @@ def is_compressed(header: Header) -> bool:
     return vertex is not None and "packed_position" in vertex.names
 
 
-def read_compressed_ply(
-    data: bytes | memoryview, *, file: str, header: Header | None = None
-) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a compressed PLY, degree 0 to 3, with or without color bounds; `header` if it is parsed already.
+def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """Read a compressed PLY, degree 0 to 3, with or without color bounds.
 
     FormatError if the bytes are not what the header says, or an element or property is missing or of the wrong kind.
     """
-    header = header or parse_header(data, file=file)
+    header = parse_header(data, file=file)
     chunk, vertex, sh = _check_elements(header, file)
     kept = [e.name for e in header.elements if e in (chunk, vertex, sh)]
     tables = read_tables(data, header, kept, file=file)

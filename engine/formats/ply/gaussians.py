@@ -25,16 +25,14 @@ _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 
-def read_ply(
-    data: bytes | memoryview, *, file: str, header: Header | None = None
-) -> tuple[GaussianModel, tuple[Repair, ...]]:
+def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3.
 
-    `header` if it is parsed already. Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs`` and
+    Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs`` and
     ``filter_fused``, too. FormatError if the bytes are not what the header says, or a property is missing;
     UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians move or lie in codebooks.
     """
-    header = header or parse_header(data, file=file)
+    header = parse_header(data, file=file)
     vertex, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     arrays = _empty_arrays(len(records), REST_COUNTS[_count_rest(vertex, file)])

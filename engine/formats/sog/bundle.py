@@ -10,11 +10,11 @@ from engine.errors import FormatError
 from engine.formats.repairs import Repair
 from engine.formats.sog.archive import MAX_META_BYTES, META, Folder, ZipArchive, write_zip
 from engine.formats.sog.decoding import decode_scene
-from engine.formats.sog.encoding import SogPalette, encode_scene
+from engine.formats.sog.encoding import encode_scene
 from engine.formats.sog.meta import parse_meta
 from engine.model import GaussianModel
 
-__all__ = ["SogPalette", "read_sog", "read_sog_folder", "write_sog"]
+__all__ = ["read_sog", "read_sog_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
@@ -48,16 +48,14 @@ def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]
     return decode_scene(meta, archive, file=str(path))
 
 
-def write_sog(model: GaussianModel, *, palette: SogPalette | None = None) -> bytes:
+def write_sog(model: GaussianModel) -> bytes:
     """Write a bundled scene, version 2; the Gaussians come out in another order (along a Z-curve).
 
     The same bytes for the same input, on any number of threads. Errors: centres half of 1/65535 of their range in the
     domain sign(x) log(1 + abs(x)), opacities 1/510, the three smaller components of a quaternion 0.0028 each; log
     scales, DC and code vectors that of the best 256 values for all of them.
 
-    A `palette` holds spherical harmonics above DC that are vector-quantised already, in place of `model.sh[:, 1:]`: 1
-    to 65,536 code vectors (P, K - 1, 3), and which of them each Gaussian has, (N,). By default one of 1k to 64k code
-    vectors is learnt, by the number of Gaussians as PlayCanvas's writer; exact where no more differ. InputError if the
-    model is empty, or the palette does not fit it.
+    Spherical harmonics above DC become a palette of 1k to 64k code vectors, by the number of Gaussians as PlayCanvas's
+    writer; exact where no more differ. InputError if the model is empty.
     """
-    return write_zip(encode_scene(model, palette))
+    return write_zip(encode_scene(model))

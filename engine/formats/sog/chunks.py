@@ -52,7 +52,7 @@ def write_streamed(levels: Sequence[GaussianModel], folder: Path, *, leaf: int =
                 continue
             low = np.minimum(low, bounds[number][0][mine].min(axis=0))
             high = np.maximum(high, bounds[number][1][mine].max(axis=0))
-            parts = encode_scene(level.take(np.sort(mine)), None)
+            parts = encode_scene(level.take(np.sort(mine)))
             name = f"{number}_{chunks[number]}"
             chunks[number] += 1
             (folder / name).mkdir(exist_ok=True)

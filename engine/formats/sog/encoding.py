@@ -12,15 +12,12 @@ from engine.formats.morton import morton_order
 from engine.formats.sog.archive import META
 from engine.formats.sog.codebook import learn_codebook, nearest_codes
 from engine.formats.sog.decoding import OTHERS, QUATERNION_TAG
-from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW
+from engine.formats.sog.meta import PALETTE_ROW
 from engine.formats.sog.palette import learn_palette, palette_size
 from engine.formats.sog.webp import MAX_SIDE, Pixels, encode_webp
 from engine.kernels.jit import side_by_side
 from engine.model import Float32, Float64, GaussianModel
 from engine.numerics.plain import Json
-
-SogPalette = tuple[npt.NDArray[Any], npt.NDArray[Any]]
-"""Code vectors (P, K - 1, 3) and the label of each Gaussian (N,)."""
 
 FILES = {
     "means": ("means_l.webp", "means_u.webp"),
@@ -31,7 +28,7 @@ FILES = {
 }
 
 
-def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, bytes]:
+def encode_scene(model: GaussianModel) -> dict[str, bytes]:
     """Names and bytes of all parts; see `engine.formats.sog.bundle.write_sog`."""
     width, height = image_size(len(model))
     codes, mins, maxs = position_codes(model.means)
@@ -60,11 +57,8 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
         meta["model"] = mode
     laid_out: dict[str, Pixels] = {}
     if model.sh_degree > 0:
-        if palette is None:
-            vectors = model.sh[:, 1:].reshape(len(model), -1)  # (N, 3 (K - 1))
-            book, labels = learn_palette(vectors, palette_size(len(model)))
-        else:
-            book, labels = _checked(palette, model), np.asarray(palette[1])[order]
+        vectors = model.sh[:, 1:].reshape(len(model), -1)  # (N, 3 (K - 1))
+        book, labels = learn_palette(vectors, palette_size(len(model)))
         centroids, codebook = centroid_pixels(book, labels)
         images[FILES["shN"][1]] = label_pixels(labels)
         laid_out[FILES["shN"][0]] = centroids
@@ -130,17 +124,3 @@ def _lay_out(pixels: Pixels, width: int, height: int) -> Pixels:
     canvas = np.zeros((height * width, pixels.shape[1]), dtype=np.uint8)
     canvas[: len(pixels)] = pixels
     return canvas.reshape(height, width, -1)
-
-
-def _checked(palette: SogPalette, model: GaussianModel) -> Float32:
-    """The code vectors (P, 3 (K - 1)) of a caller's palette, once it is known to fit the model."""
-    codes, labels = np.asarray(palette[0]), np.asarray(palette[1])
-    shape = (len(codes), model.sh.shape[1] - 1, 3)
-    if codes.shape != shape or not 1 <= len(codes) <= MAX_PALETTE or not np.isfinite(codes).all():
-        message = f"1 to {MAX_PALETTE} finite code vectors of shape {shape[1:]}"
-        raise InputError(f"palette has shape {codes.shape}, expected {message}")
-    if labels.shape != (len(model),) or labels.dtype.kind not in "iu":
-        raise InputError(f"labels have shape {labels.shape}, expected one integer for each of {len(model)}")
-    if labels.min() < 0 or labels.max() >= len(codes):
-        raise InputError(f"labels run to {labels.max()}, the palette has {len(codes)} code vectors")
-    return np.ascontiguousarray(codes, dtype=np.float32).reshape(len(codes), -1)

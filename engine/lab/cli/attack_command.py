@@ -12,8 +12,9 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.models import format_for, say_repairs
-from engine.cli.options import Json, Seed, SpzFrame
+from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
+from engine.lab.cli.shared import Seed
 from engine.usecases.files import (
     JPEG_QUALITY,
     check_picture_ending,

@@ -10,20 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from engine.cli.console import Console, Progress
+from engine.cli.console import Console, Progress, claim_lines
 from engine.cli.embed import size
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import shipped_scene
 from engine.cli.options import Json
 from engine.errors import InputError, WrongKeyError
-from engine.present.claim_text import claim_lines
+from engine.lab.cli.shared import shipped_scene
 from engine.usecases.files import check_target, whole_file, write_picture, write_secret
 from engine.usecases.verify import VerifyReport
 
 if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding
     from engine.flows.records.opened_record import OpenedRecord
-    from engine.flows.verify.verification import Verification
+    from engine.flows.verify.search import Verification
     from engine.model import Camera, Float32, GaussianModel
     from engine.present.wording import Words
     from engine.watermark.keys import OwnerKey
@@ -160,7 +159,7 @@ def _trials(
     """Steal the marked model in three ways, and try the unmarked original."""
     import numpy as np
 
-    from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+    from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
     from engine.formats import read_model, write_model
     from engine.formats.image_files import read_picture
     from engine.lab.evaluate.bench.attacks import random_view

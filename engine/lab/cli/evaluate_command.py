@@ -9,9 +9,9 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import shipped_scene
-from engine.cli.options import Json, Seed
+from engine.cli.options import Json
 from engine.errors import InputError, Mark3DGSError
+from engine.lab.cli.shared import Seed, shipped_scene
 
 TRIALS_HELP = (
     "Trials: screenshots (50), foreign pictures (200), wrong keys (100,000), innocent copies (10,000), assets (1,000) "
@@ -88,8 +88,8 @@ def evaluate(
     console = Console(json)
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"{str(out)!r} is a file; --out names a folder")
-    from engine.kernels.machine import machine_info
     from engine.lab.evaluate.cell_runner import run_cells
+    from engine.lab.evaluate.machine import machine_info
     from engine.lab.evaluate.measurements import MEASUREMENTS
     from engine.lab.evaluate.report import cell_text, write_report
     from engine.lab.evaluate.study import Options

@@ -12,7 +12,7 @@ from typing import Any
 
 from engine.errors import InputError, Mark3DGSError
 from engine.extras import load_extra
-from engine.kernels.machine import machine_info, peak_memory_mb
+from engine.lab.evaluate.machine import machine_info, peak_memory_mb
 from engine.lab.evaluate.study import Cell, Row
 from engine.numerics.plain import plain
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from engine.kernels.machine import machine_info
 from engine.lab.evaluate.cell_runner import write_whole
 from engine.lab.evaluate.figures import house_style, png, svg
+from engine.lab.evaluate.machine import machine_info
 from engine.lab.evaluate.study import Drawing, Options, Row, Study
 from engine.numerics.plain import plain
 from engine.present.html_pages import templates

@@ -13,7 +13,7 @@ INTERVALS = (
     "bit stands beside it and assumes only that readings are independent."
 )
 BUSY = 1.5
-"""Programs a core (`engine.kernels.machine.load_per_core`) from which on times are called too long."""
+"""Programs a core (`engine.lab.evaluate.machine.load_per_core`) from which on times are called too long."""
 
 Column = str | tuple[str, str | Callable[[Any], Any]]
 """A key of the rows; or a heading with a key, a text with keys in braces, or a function of a row."""

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.lab.sim.attack import Attacks
 from engine.lab.sim.image_encoders import bytes_of, still, values_of
+from engine.lab.sim.lens import BrownLens, FisheyeLens
 from engine.model import Float32, Float64
-from engine.numerics.lens import BrownLens, FisheyeLens
 
 __all__ = ["ATTACKS"]
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.compress.levels_of_detail import merge_pairs, merge_voxels
+from engine.compress.levels_of_detail import merge_pairs, numbered
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.attack import Attacks
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.gaussians import merge_groups
 from engine.numerics.similarity import quaternion_to_rotation
 
 __all__ = ["ATTACKS", "clone", "crop", "impact"]
@@ -155,3 +156,35 @@ def merge_published(model: GaussianModel, strength: float, rng: np.random.Genera
 def lod(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """The level of a voxel tree (Spark's) that has the share `strength` left: finer Gaussians become one."""
     return merge_voxels(model, strength)
+
+
+LEVEL_STEP = 1.5
+"""Factor between the voxel sizes of two levels."""
+
+
+def merge_voxels(model: GaussianModel, share: float) -> GaussianModel:
+    """The level of a voxel tree (Spark's) that has this share left, in (0, 1]: what is finer than a voxel becomes one.
+
+    Voxels grow by half a level, from the finest Gaussians on. In the last level only as many voxels are merged as the
+    share asks for, those of the fewest Gaussians first.
+    """
+    target = max(1, round(share * len(model)))
+    size = float(np.quantile(2.0 * np.exp(model.log_scales.max(axis=1)), 0.05))
+    size = max(size, 1e-6 * float(np.ptp(model.means, axis=0).max()), 1e-30)
+    while len(model) > target:
+        fine = np.flatnonzero(2.0 * np.exp(model.log_scales.max(axis=1)) <= size)
+        voxels = np.floor(model.means[fine] / size).astype(np.int64)
+        _, of, count = np.unique(voxels, axis=0, return_inverse=True, return_counts=True)
+        of = of.reshape(-1)
+        order = np.argsort(count, kind="stable")
+        spared = np.cumsum(count[order] - 1)  # Gaussians fewer after the first so many voxels
+        take = order[: int(np.searchsorted(spared, len(model) - target)) + 1]
+        merged = np.zeros(len(count), np.bool_)
+        merged[take] = True
+        first = np.empty(len(count), np.int64)
+        first[of[::-1]] = fine[::-1]
+        group = np.arange(len(model))
+        group[fine] = np.where(merged[of], first[of], fine)
+        model = merge_groups(model, numbered(group), surface=True)
+        size *= LEVEL_STEP
+    return model

@@ -13,7 +13,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.lab.sim.attack import Label, Strength
 from engine.lab.sim.attack_cost import CHEAP_DB, Cost, image_cost, model_cost
 from engine.lab.sim.attacks import image_attack, model_attack

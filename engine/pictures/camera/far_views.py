@@ -12,7 +12,7 @@ import numpy as np
 
 from engine.kernels.jit import side_by_side
 from engine.model import Camera, Float64, GaussianModel, Int64
-from engine.numerics.moment_matching import merge_groups
+from engine.numerics.gaussians import merge_groups
 from engine.pictures.camera.camera_motion import farther, swung
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 from engine.pictures.camera.view_scores import SIDE

@@ -14,7 +14,7 @@ if _typing.TYPE_CHECKING:
     from engine.flows.embed.profiles import profile
     from engine.flows.records.opened_record import open_record
     from engine.flows.trace.tracing import trace_images, trace_model
-    from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+    from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
     from engine.flows.views.camera_rig import make_rig
     from engine.formats import read_cameras, read_model, write_cameras, write_model
     from engine.model import Camera, GaussianModel
@@ -54,7 +54,7 @@ _HOMES = {
     "engine.flows.views.camera_rig": ("make_rig",),
     "engine.flows.records.opened_record": ("open_record",),
     "engine.flows.trace.tracing": ("trace_images", "trace_model"),
-    "engine.flows.verify.verification": ("VerifyConfig", "verify_images", "verify_model"),
+    "engine.flows.verify.search": ("VerifyConfig", "verify_images", "verify_model"),
     "engine.raster": ("render",),
     "engine.records.record": ("Record",),
     "engine.watermark.keys": ("OwnerKey",),

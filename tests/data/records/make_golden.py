@@ -36,12 +36,14 @@ def golden_record(version: int = 1) -> Record:
         KEY,
         encode_reference(golden_model(), 1 if version < 3 else 2),
         original_digest="ab" * 32,
-        plan={"message": "deadbeef", "codes": [4, 2], "profile": "fast", "psnr_db": 47.5},
-        plan_arrays={
-            "labels/0": np.arange(40, dtype=np.uint16) % 4,
-            "amplitudes": np.linspace(0, 1, 6),
-            "empty": np.zeros((0, 3), dtype=np.float32),
-        },
+        plan=(
+            {"message": "deadbeef", "codes": [4, 2], "profile": "fast", "psnr_db": 47.5},
+            {
+                "labels/0": np.arange(40, dtype=np.uint16) % 4,
+                "amplitudes": np.linspace(0, 1, 6),
+                "empty": np.zeros((0, 3), dtype=np.float32),
+            },
+        ),
         extra={"strength": 1.25, "nothing": None},
         copy="for a friend",
         registered_at="2025-01-31T12:00:00Z",

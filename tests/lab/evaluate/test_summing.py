@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.kernels.machine import load_per_core
+from engine.lab.evaluate.machine import load_per_core
 from engine.lab.evaluate.summary import busy_words
 
 

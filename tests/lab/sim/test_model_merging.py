@@ -13,10 +13,8 @@ from engine.compress.levels_of_detail import disjoint_pairs, merging_costs
 from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
 from engine.model import Camera, GaussianModel, look_at
-from engine.numerics.flattening import flatten
-from engine.numerics.gaussians import covariances, surface_mass, volume_mass
+from engine.numerics.gaussians import covariances, flatten, merge_groups, surface_mass, volume_mass
 from engine.numerics.image_metrics import psnr
-from engine.numerics.moment_matching import merge_groups
 from engine.raster import render
 from tests.reference import merging as twin
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.baselines.method import Kept, Method

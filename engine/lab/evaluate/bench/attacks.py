@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_copies, mark_scene

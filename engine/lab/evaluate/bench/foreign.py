@@ -12,7 +12,7 @@ import numpy as np
 from skimage import data
 
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import VerifyConfig, verify_images
+from engine.flows.verify.search import VerifyConfig, verify_images
 from engine.lab.evaluate.bench.attacks import claim_row
 from engine.lab.evaluate.bench.posting import SIZES, posted_pictures
 from engine.lab.evaluate.marked_scene import mark_scene

@@ -15,7 +15,7 @@ from engine.compress.pruning import PruneConfig
 from engine.errors import CapacityError
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.bench.attacks import other_views
@@ -132,8 +132,8 @@ def _codebook(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folde
     from engine.flows.embed.delivery import slim_down
     from engine.flows.views.camera_rig import measure_extent
     from engine.flows.views.view_set import look
+    from engine.lab.sim.variants.codebooks import make_codebook
     from engine.lab.sim.variants.variant_table import measure_codebook
-    from engine.scenes.codebook_marking import make_codebook
 
     views = look(original, make_rig(original, 8, 512, 512), lambda fraction: None)
     impact = measure_impact(original, views.views, views.images)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.removal import rattle, smooth
 from engine.lab.evaluate.marked_scene import mark_scene

@@ -17,11 +17,12 @@ import numpy as np
 from engine.flows.warmup.kernel_warmup import warm_up
 from engine.formats import read_model
 from engine.kernels.jit import inlined, parallel_kernel, share_of
-from engine.kernels.machine import machine_info, peak_memory_mb
 from engine.kernels.thread_crew import thread_count
 from engine.lab.evaluate.bench.timing import median_ms
+from engine.lab.evaluate.machine import machine_info, peak_memory_mb
+from engine.lab.raster.sh_gradients import sh_colors_backward
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors, sh_colors_backward
+from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE

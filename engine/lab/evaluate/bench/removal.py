@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from engine.compress.hvq import HvqConfig, group_means, quantize
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import mark_scene

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.catalogue.catalogue import Catalogue
+from engine.catalogue.catalogue import Catalogue, Likeness, screen_model, screen_pictures
 from engine.catalogue.entry import Entry
-from engine.catalogue.screening import Likeness, screen_model, screen_pictures
 from engine.formats import read_model
 from engine.lab.evaluate.bench.posting import posted_pictures
 from engine.lab.evaluate.strangers import RELATIVES, entry_of, make_stranger, stranger_entries

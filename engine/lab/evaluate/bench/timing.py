@@ -17,12 +17,12 @@ import numpy as np
 
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import Verification, verify_images, verify_model
+from engine.flows.verify.search import Verification, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.kernels.allocation import keep_freed_memory
-from engine.kernels.machine import peak_memory_mb
 from engine.lab.evaluate.bench.attacks import random_view, to_8_bit
+from engine.lab.evaluate.machine import peak_memory_mb
 from engine.lab.evaluate.marked_scene import bench_key, mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import image_attack

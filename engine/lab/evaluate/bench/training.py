@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, configure, mark_scene

@@ -16,16 +16,17 @@ from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.trace.tracing import trace_model
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
+from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.collusion import RULES, collude
 from engine.raster import render
 from engine.records.header import chip_context
 from engine.watermark.keys import CHIPS, COPY, OwnerKey, signs
 from engine.watermark.rates import MADE_FIRST
-from engine.watermark.statistics import log10_false_claim_bound, wrong_key_z
+from engine.watermark.statistics import log10_false_claim_bound
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 COLLUDERS = (2, 3, 5, 10)

@@ -13,14 +13,14 @@ import numpy as np
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import EmbedConfig, profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.formats import read_model, write_model
-from engine.kernels.machine import load_per_core, peak_memory_mb
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.raster import bench_raster
 from engine.lab.evaluate.bench.timing import in_own_process, seconds_of, stage_medians
 from engine.lab.evaluate.cost.peaks import peak_bandwidth, peak_flops
+from engine.lab.evaluate.machine import load_per_core, peak_memory_mb
 from engine.lab.evaluate.marked_scene import bench_key, mark_scene
 from engine.lab.evaluate.study import Row
 from engine.model import GaussianModel

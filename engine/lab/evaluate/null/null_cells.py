@@ -14,7 +14,7 @@ import numpy as np
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
@@ -28,7 +28,7 @@ from engine.model import Float64, GaussianModel
 from engine.registration.mixtures import Mixtures
 from engine.watermark.keys import CHIPS, signs
 from engine.watermark.layers import layered_z
-from engine.watermark.model_evidence import Evidence, gather_model_evidence
+from engine.watermark.model_evidence import Evidence, compare_colors, gather_residual
 from engine.watermark.power import expected_z
 from engine.watermark.rates import MADE_FIRST
 from engine.watermark.statistics import claim_z, z_threshold
@@ -178,7 +178,7 @@ def rebuild_reference(path: str, keys: int, quick: bool, seed: int) -> list[Row]
         chips = signs(bench_key(10_000 + seed + number).derive(CHIPS, b"wrong detector"), layout.chips)
         own = layout.displace(opened.strength * layout.amplitudes * chips)
         rebuilt = add_dc(scene.marked.sh, -own)[:, 0]
-        evidence = gather_model_evidence(layout, rebuilt, suspect, itself)
+        evidence = gather_residual(layout, compare_colors(rebuilt, suspect, itself))
         z.append(claim_z(evidence.y, evidence.weights, bit_of, chips, message))
     row = {"what": "wrong detector", "scene": scene.name, "keys": keys, "hits": above(z)}
     claims = int(np.sum(np.array(z) >= z_threshold(1e-9)))

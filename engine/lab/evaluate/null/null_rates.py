@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.lab.evaluate.intervals import share_interval
+from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.evaluate.study import Row
 from engine.model import Float64
-from engine.watermark.statistics import wrong_key_z, z_threshold
+from engine.watermark.statistics import z_threshold
 
 __all__ = [
     "CLAIM",

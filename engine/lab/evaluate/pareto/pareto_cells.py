@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -9,17 +10,21 @@ from typing import Any
 import numpy as np
 
 from engine.errors import CapacityError
-from engine.flows.embed.auto_profile import rehearse
+from engine.flows.embed.auto_profile import VIEW_SIZE, Rehearsal
 from engine.flows.embed.copy_mark import owner_displacements
+from engine.flows.embed.delivery import deliver
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import add_dc
+from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig
+from engine.flows.embed.rehearsal import Rehearsing
+from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import LoadedModel, encode_model, read_model
-from engine.kernels.machine import load_per_core
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, read_screenshots, to_8_bit
 from engine.lab.evaluate.bench.raster import bench_camera
 from engine.lab.evaluate.bench.timing import median_ms, stage_medians
+from engine.lab.evaluate.machine import load_per_core
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.pareto.points import BASE, Point, config_of
 from engine.lab.evaluate.study import Row
@@ -27,6 +32,7 @@ from engine.lab.sim.suite import Trial
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
+from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
 
 ATTACKS: tuple[Trial, ...] = (
@@ -191,3 +197,11 @@ def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: boo
             "log10_false_claim": max(claim.log10_false_claim for claim in claims),
         }
     return {"attacks": attacks, "verify_seconds": seconds}
+
+
+def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
+    """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
+    small = replace(config, view_size=VIEW_SIZE)
+    whole = replace(small, prune=replace(small.prune, budget_db=None))
+    ground = lay_groundwork(model, key, original_sha256, whole)
+    return Rehearsing(deliver(ground, whole, Clock()), None).at(whole)

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from engine.kernels.machine import machine_info
 from engine.lab.evaluate.figures import INK, MARKERS, Axes, Figure, figure, label_line, styles
+from engine.lab.evaluate.machine import machine_info
 from engine.lab.evaluate.pareto.pareto_sums import Result, pareto_front
 from engine.lab.evaluate.published import Published
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, z_threshold

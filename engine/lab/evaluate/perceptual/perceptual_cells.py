@@ -17,8 +17,9 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import image_attack
+from engine.lab.sim.multiscale_ssim import ms_ssim_distance
 from engine.model import Camera, Float32
-from engine.numerics.image_metrics import difference_picture, ms_ssim_distance, psnr, ssim
+from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
 
 __all__ = ["COMPARED_QUALITIES", "flip_map", "load_lpips", "look_at_mark", "picture_text"]
@@ -131,7 +132,8 @@ def _pictures(scene: MarkedScene, camera: Camera) -> dict[str, str]:
     """Original, marked and amplified difference at one view, rendered smaller."""
     small = camera.resized(PICTURE_SIDE, round(PICTURE_SIDE * camera.height / camera.width))
     plain, marked = render(scene.original, small), render(scene.marked, small)
-    pictures = {"original": plain, "marked": marked, "difference": difference_picture(plain, marked, GAIN)}
+    difference: Float32 = np.float32(GAIN) * np.abs(np.clip(plain, 0, 1) - np.clip(marked, 0, 1))
+    pictures = {"original": plain, "marked": marked, "difference": difference}
     return {name: picture_text(picture) for name, picture in pictures.items()}
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from engine.errors import Mark3DGSError
 from engine.flows.embed.embedding import embed
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.evaluate.marked_subjects import fast_config, fast_mark

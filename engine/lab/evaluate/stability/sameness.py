@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.marked_subjects import fast_mark
 from engine.lab.evaluate.stability.odd_inputs import claim_digest

@@ -13,7 +13,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
-from engine.flows.verify.verification import Verification, verify_images, verify_model
+from engine.flows.verify.search import Verification, verify_images, verify_model
 from engine.lab.evaluate.baselines.method import Kept
 from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.bench.attacks import to_8_bit

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
-from engine.flows.views.early_stop import early_stop
+from engine.flows.views.view_set import early_stop
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.figures import Axes, label_line, styles
 from engine.lab.evaluate.study import Cell, Options, Row, Table

@@ -10,7 +10,7 @@ import numpy as np
 
 from engine.errors import CapacityError
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
-from engine.flows.verify.verification import Verification, verify_model
+from engine.flows.verify.search import Verification, verify_model
 from engine.formats import encode_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.bench.raster import bench_camera
@@ -20,9 +20,10 @@ from engine.lab.evaluate.study import Row
 from engine.lab.evaluate.tables.part import DEFAULT, Setting
 from engine.lab.evaluate.tables.without import without
 from engine.lab.sim.attack import Label
+from engine.lab.sim.multiscale_ssim import ms_ssim_distance
 from engine.lab.sim.suite import Trial
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.image_metrics import ms_ssim_distance, psnr, ssim
+from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
 
 UNTOUCHED = Trial("none", (), "", "image")

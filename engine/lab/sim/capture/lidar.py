@@ -107,11 +107,13 @@ def _face(model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, fac
 def _draw(model: GaussianModel, camera: Camera) -> tuple[Float32, Float32, Float32, Float32]:
     """Image (H, W, 3), opacity, mean depth and its standard deviation (H, W), scene units."""
     view = prepare_view(model, camera)
-    depths = view.depth_of_all[:, None]
-    near = np.float32(np.median(view.depths)) if len(view.visible) else np.float32(0.0)
+    row = camera.viewmat[2]
+    depths = (model.means @ row[:3].astype(np.float32) + np.float32(row[3])).astype(np.float32)[:, None]
+    near = np.float32(np.median(depths[view.visible])) if len(view.visible) else np.float32(0.0)
     colors = sh_colors(model.sh, model.means, camera.position)
-    channels, alpha = view.render(np.concatenate([colors, depths - near, (depths - near) ** 2], axis=1))
+    image, alpha = view.render(colors)
+    far, _ = view.render(np.concatenate([depths - near, (depths - near) ** 2], axis=1))
     solid = np.maximum(alpha, np.float32(SOLID))
-    mean, square = channels[..., 3] / solid, channels[..., 4] / solid
+    mean, square = far[..., 0] / solid, far[..., 1] / solid
     spread: Float32 = np.sqrt(np.maximum(square - mean**2, np.float32(0.0)))
-    return channels[..., :3], alpha, (mean + near).astype(np.float32), spread
+    return image, alpha, (mean + near).astype(np.float32), spread

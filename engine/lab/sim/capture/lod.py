@@ -16,7 +16,7 @@ from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.view_set import worst_psnr_against
 from engine.lab.sim.capture.capture_kernels import principal_axes
 from engine.model import ATTRIBUTES, Camera, Float64, GaussianModel, Int32
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from engine.raster import prepare_view, render
 
 VIEWS, VIEW_SIZE = 12, 400  # of the rig around a model that comes without cameras; pixels

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
-from engine.flows.verify.verification import Verification, verify_model
+from engine.flows.verify.search import Verification, verify_model
 from engine.lab.sim.attack import check_positive
 from engine.lab.sim.edits.selection import check_selection
 from engine.lab.sim.model_placement import join

@@ -131,7 +131,7 @@ def mask_shares(
         if not (pixels.min() >= 0 and pixels.max() <= 1):
             raise InputError(f"mask {number} has values from {pixels.min()} to {pixels.max()}, expected 0 to 1")
         view = prepare_view(model, camera)
-        inside += view.weighted(pixels)[0]
+        inside += view.backward_colors(pixels[:, :, None])[:, 0]
         total += view.weights()[0]
     return np.divide(inside, total, out=np.zeros_like(total), where=total > 0), total
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.progress import Progress
-from engine.flows.verify.verification import verify_images, verify_model
+from engine.flows.verify.search import verify_images, verify_model
 from engine.lab.sim.scenario.film import Show
 from engine.lab.sim.scenario.script import Scenario
 from engine.lab.sim.scenario.sources import load_world

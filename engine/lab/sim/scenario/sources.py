@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Progress
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.views.camera_rig import make_rig
@@ -25,6 +26,7 @@ from engine.lab.sim.capture.trainer import TrainConfig
 from engine.lab.sim.edits.edit import EditTrack, place
 from engine.lab.sim.scenario.state import Clip, Tracked, World
 from engine.lab.sim.scenario.tables import Table, given
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.lab.sim.variants.generative import generate_from_views, marking
 from engine.lab.sim.variants.hybrid import HybridPart
 from engine.lab.sim.variants.synthetic import fit_spacetime, make_discs, set_in_motion
@@ -33,10 +35,9 @@ from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
 from engine.raster import render
 from engine.scenes.clip_marking import Moving, move_record
-from engine.scenes.codebook_marking import make_codebook
 from engine.scenes.codebook_model import CodebookModel
 from engine.scenes.scene_files import CODEBOOK, SPACETIME, Loaded, Scene, read_scene
-from engine.scenes.scene_marking import embed_variant
+from engine.scenes.scene_marking import embed_scene
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
 
@@ -259,7 +260,7 @@ def _mark_part(unmarked: Unmarked, part: Part, key: OwnerKey, progress: Progress
         return _Made(marked, scene, opened)
     new, opened_new = scene, None
     if part.bits:
-        marks = embed_variant(loaded, key, (part.name,), config=config, bits=part.bits, progress=progress)
+        marks = embed_scene(loaded, key, (part.name,), MarkTerms(config=config, bits=part.bits), progress)
         ((made, embedding),) = marks
         assert not isinstance(made, GaussianModel)  # the same kind comes back
         new, opened_new = made, open_record(embedding.record.to_bytes(key), key, MADE_FIRST)

@@ -21,7 +21,7 @@ from engine.errors import InputError
 from engine.flows.views.camera_rig import UP, make_rig, measure_extent
 from engine.lab.sim.adversaries.retraining import fine_tune
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from engine.numerics.similarity import quaternion_product
 from engine.raster import RasterSettings, render
 from engine.scenes.spacetime import LOGIT_LIMIT, SpacetimeModel

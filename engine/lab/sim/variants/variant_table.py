@@ -18,20 +18,22 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.formats.file_writing import write_whole
 from engine.lab.sim.attacks import image_attack, model_attack
+from engine.lab.sim.multiscale_ssim import ms_ssim_distance
 from engine.lab.sim.variants.generative import marking, write_raw_ply
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.image_metrics import ms_ssim_distance, psnr
+from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
 from engine.scenes.clip_marking import embed_moving, move_record, verify_moment, verify_moving_images, visible
 from engine.scenes.codebook_files import PLY, read_codebook, write_codebook
-from engine.scenes.codebook_marking import embed_codebook
 from engine.scenes.codebook_model import CodebookModel
+from engine.scenes.scene_marking import embed_codebook
 from engine.scenes.spacetime import SpacetimeModel
 from engine.scenes.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from engine.watermark.keys import OwnerKey
@@ -278,7 +280,7 @@ def measure_codebook(
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
         digest = hashlib.sha256((folder / "before" / PLY).read_bytes()).hexdigest()
-        marked, embedding = embed_codebook(compressed, key, original_sha256=digest, bits=BITS, config=finer)
+        marked, embedding = embed_codebook(compressed, key, MarkTerms(bits=BITS, config=finer), original_sha256=digest)
         write_codebook(marked, folder / "after")
         return read_codebook(folder / "after").decode(), open_record(embedding.record.to_bytes(key), key, MADE_FIRST)
 
@@ -320,7 +322,7 @@ def measure_spacetime(
 
     real, before = pictures(truth), pictures(original)
     config = replace(config, psnr_db=fidelity_for(real, before, config.psnr_db))
-    marked, embedding = embed_moving(original, key, bits=BITS, config=config)
+    marked, embedding = embed_moving(original, key, MarkTerms(bits=BITS, config=config))
     marked, _ = read_spacetime_ply(b"".join(write_spacetime_ply(marked)), file="marked")
     after = pictures(marked)
     opened = open_record(embedding.record.to_bytes(key), key, MADE_FIRST)

@@ -12,7 +12,7 @@ from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.bench.training import read_retrained

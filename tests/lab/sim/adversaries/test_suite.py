@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.flows.verify.verification import VerifyConfig
+from engine.flows.verify.search import VerifyConfig
 from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import find_attack, model_attack
 from engine.lab.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.adversaries.collusion import RULES, collude
 from engine.lab.sim.adversaries.evolution import Budget, evolve

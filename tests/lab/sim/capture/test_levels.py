@@ -10,7 +10,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.flows.embed.profiles import profile
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.lab.sim.capture.lod import (
     LevelOfDetail,

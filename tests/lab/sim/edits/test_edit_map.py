@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import model_attack
 from engine.lab.sim.edits.edit import (

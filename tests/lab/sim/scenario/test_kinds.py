@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.formats import read_model
 from engine.lab.sim.scenario import read_scenario
 from engine.lab.sim.scenario import sources as bringing

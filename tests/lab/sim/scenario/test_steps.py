@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.flows.views.camera_rig import UP, measure_extent
 from engine.lab.sim.edits.objects import model_box
 from engine.lab.sim.scenario import KINDS, read_scenario

@@ -9,6 +9,7 @@ import pytest
 
 from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig, profile
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import bench_key
@@ -53,7 +54,7 @@ def clip(swaying: SwayingScene) -> SpacetimeModel:
 def marked_clip(
     clip: SpacetimeModel, key: OwnerKey, config: EmbedConfig
 ) -> tuple[SpacetimeModel, Embedding, OpenedRecord]:
-    marked, result = embed_moving(clip, key, config=config)
+    marked, result = embed_moving(clip, key, MarkTerms(config=config))
     return marked, result, open_record(result.record.to_bytes(key), key)
 
 

@@ -6,12 +6,14 @@ import pytest
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.lab.sim.attacks import model_attack
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.model import GaussianModel
-from engine.scenes.codebook_marking import embed_codebook, make_codebook
 from engine.scenes.codebook_model import CodebookModel
+from engine.scenes.scene_marking import embed_codebook
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
 
@@ -27,7 +29,7 @@ def compressed(plant: GaussianModel) -> CodebookModel:
 def marked(
     compressed: CodebookModel, key: OwnerKey, config: EmbedConfig
 ) -> tuple[CodebookModel, Embedding, OpenedRecord]:
-    model, result = embed_codebook(compressed, key, original_sha256="0" * 64, bits=16, config=config)
+    model, result = embed_codebook(compressed, key, MarkTerms(bits=16, config=config), original_sha256="0" * 64)
     return model, result, open_record(result.record.to_bytes(key), key)
 
 

@@ -15,9 +15,9 @@ import pytest
 import torch
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.model import GaussianModel
 from engine.scenes.codebook_files import read_codebook, write_codebook
-from engine.scenes.codebook_marking import make_codebook
 from engine.scenes.codebook_model import CodebookModel
 from tests.reference.codebook_files import load_trusting
 

@@ -16,7 +16,7 @@ from engine.lab.sim.variants import variant_table as measuring
 from engine.lab.sim.variants.synthetic import fit_colors, widen
 from engine.lab.sim.variants.variant_table import measure_discs
 from engine.model import GaussianModel, look_at
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
 

@@ -9,7 +9,7 @@ import pytest
 from engine.errors import CapacityError, InputError
 from engine.flows.embed.profiles import EmbedConfig, profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.verification import verify_model
+from engine.flows.verify.search import verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.formats.file_writing import write_whole

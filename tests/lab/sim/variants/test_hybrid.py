@@ -7,13 +7,15 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.lab.evaluate.marked_scene import bench_key
+from engine.lab.sim.variants.codebooks import make_codebook
 from engine.lab.sim.variants.hybrid import HybridPart, assemble, verify_hybrid
 from engine.model import GaussianModel
-from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import flatten
 from engine.numerics.umeyama import Similarity
-from engine.scenes.codebook_marking import embed_codebook, make_codebook
+from engine.scenes.scene_marking import embed_codebook
 from engine.scenes.spacetime import SpacetimeModel
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
@@ -45,7 +47,7 @@ def test_variants_in_one_file_are_told_apart(
     still, still_record = mark(half, key)
     discs, disc_record = mark(flatten(rest), key)
     squeezed, result = embed_codebook(
-        make_codebook(left, {"dc": 400}), key, original_sha256="2" * 64, bits=16, config=config
+        make_codebook(left, {"dc": 400}), key, MarkTerms(bits=16, config=config), original_sha256="2" * 64
     )
     squeezed_record = open_record(result.record.to_bytes(key), key)
     _, absent = mark(half, bench_key(77))

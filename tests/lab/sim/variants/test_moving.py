@@ -8,8 +8,9 @@ import pytest
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.verify.verification import verify_images, verify_model
+from engine.flows.verify.search import verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import SH_C0
@@ -88,7 +89,7 @@ def test_a_picture_of_an_unknown_moment_counts_every_moment_tried(clip: Spacetim
 def test_the_moment_of_an_export_is_found(clip: SpacetimeModel, marked_clip: Marked) -> None:
     marked, _, opened = marked_clip
     for time in (0.31, 0.62):  # halfway between two that are tried, the wrong one may explain more, less exactly
-        assert find_time(marked.at(time), opened, clip, count=5, rounds=3) == pytest.approx(time, abs=0.02)
+        assert find_time(marked.at(time), opened, clip) == pytest.approx(time, abs=0.02)
     assert verify_moment(marked.at(0.31), opened, clip).claim.verdict is Verdict.MARKED
 
 
@@ -105,7 +106,7 @@ def test_the_motion_decides_the_chips(
     """One canonical model under one key, another motion: the record's id, hence its chips, are others."""
     _, first, _ = marked_clip
     forged = replace(clip, omega=clip.omega + np.float32(1e-6))
-    _, second = embed_moving(forged, key, original_sha256=clip.digest(), config=config)
+    _, second = embed_moving(forged, key, MarkTerms(config=config), original_sha256=clip.digest())
     assert first.record.header.reference_digest == second.record.header.reference_digest
     assert first.record.header.record_id != second.record.header.record_id
 
@@ -113,7 +114,7 @@ def test_the_motion_decides_the_chips(
 def test_wrong_keys_find_nothing(clip: SpacetimeModel, marked_clip: Marked, config: EmbedConfig) -> None:
     """Another owner's record of the very same scene, read from every kind of evidence the first one has."""
     other = bench_key(99)
-    _, result = embed_moving(clip, other, config=config)
+    _, result = embed_moving(clip, other, MarkTerms(config=config))
     theirs = open_record(result.record.to_bytes(other), other)
     marked = marked_clip[0]
     assert verify_model(marked.canonical(), theirs).claim.verdict is Verdict.INCONCLUSIVE  # another mark lies there

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
+from engine.lab.sim.multiscale_ssim import ms_ssim_distance
 from engine.lab.sim.variants.variant_table import measure_variant
-from engine.numerics.image_metrics import ms_ssim_distance, psnr
+from engine.numerics.image_metrics import psnr
 from engine.watermark.claim import Verdict
 
 

@@ -12,8 +12,9 @@ import pytest
 import torch
 
 from engine.errors import InputError
-from engine.raster import RasterSettings, cuda, render
-from engine.raster.autograd import rasterize
+from engine.lab.raster import cuda
+from engine.lab.raster.autograd import rasterize
+from engine.raster import RasterSettings, render
 from tests.raster.scenes import TOLERANCE, camera, random_model, relative
 from tests.reference import raster as twin
 

@@ -37,7 +37,7 @@ def rasterize(
     background: float | tuple[float, float, float],
     settings: RasterSettings,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """`engine.raster.autograd.rasterize` on tensors of a CUDA device.
+    """`engine.lab.raster.autograd.rasterize` on tensors of a CUDA device.
 
     InputError if gsplat is not installed, or a setting differs from what is fixed in its kernels (alpha_clamp,
     alpha_skip, transmittance_stop, by_distance).

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from engine.errors import InputError
-from engine.numerics.image_metrics import LEAST_SIDE, SCALE_WEIGHTS, ms_ssim_distance
+from engine.lab.sim.multiscale_ssim import LEAST_SIDE, SCALE_WEIGHTS, ms_ssim_distance
 
 
 def twin(a: np.ndarray, b: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from engine.kernels.machine import machine_info, peak_memory_mb
+from engine.lab.evaluate.machine import machine_info, peak_memory_mb
 
 
 def test_machine_info_is_complete_and_json_ready() -> None:
@@ -23,7 +23,7 @@ def test_machine_info_is_complete_and_json_ready() -> None:
 
 def test_machine_info_imports_nothing_it_describes() -> None:
     code = (
-        "import sys\nfrom engine.kernels.machine import machine_info\nmachine_info()\n"
+        "import sys\nfrom engine.lab.evaluate.machine import machine_info\nmachine_info()\n"
         "assert not {'torch', 'numba', 'cv2', 'scipy'} & set(sys.modules), sorted(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
