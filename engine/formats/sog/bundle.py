@@ -10,11 +10,11 @@ from engine.errors import FormatError
 from engine.formats.repairs import Repair
 from engine.formats.sog.archive import MAX_META_BYTES, META, Folder, ZipArchive, write_zip
 from engine.formats.sog.decoding import decode_scene
-from engine.formats.sog.encoding import SogPalette, encode_scene
+from engine.formats.sog.encoding import encode_scene
 from engine.formats.sog.meta import parse_meta
 from engine.model import GaussianModel
 
-__all__ = ["SogPalette", "read_sog", "read_sog_folder", "write_sog"]
+__all__ = ["read_sog", "read_sog_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
