@@ -7,6 +7,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.options import Json, Knobs
+from engine.numerics.plain import Json as Values
 
 app = typer.Typer(no_args_is_help=True, help="Show settings.", rich_markup_mode="rich")
 
@@ -51,8 +52,8 @@ def show(
     return 0
 
 
-def _flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
+def _flatten(values: Values, prefix: str = "") -> Values:
+    flat: Values = {}
     for name, value in values.items():
         flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
     return flat

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,7 @@ from engine.cli.console import Console
 from engine.cli.embed import size
 from engine.cli.options import Json, SpzFrame
 from engine.cli.trust_options import read_certificates
+from engine.numerics.plain import Json as Values
 
 if TYPE_CHECKING:
     from engine.credentials.reading import Credentials
@@ -88,7 +89,7 @@ def inspect(
     return 0
 
 
-def describe_model(loaded: Loaded) -> dict[str, Any]:
+def describe_model(loaded: Loaded) -> Values:
     """Facts about a loaded model, as plain values."""
     import numpy as np
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,10 +121,14 @@ def _read_folder(path: Path, file: str) -> LoadedModel:
         names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix == ".webp"))
     else:
         raise UnsupportedFormatError(f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene", file=file)
+    return LoadedModel(model, "sog", repairs, *weigh_files(path, names))
+
+
+def weigh_files(folder: Path, names: Iterable[str]) -> tuple[int, str]:
+    """Bytes of some of a folder's files, and the digest of them all: `LoadedModel.sha256`."""
     size, digests = 0, []
-    for name in names:
-        content = (path / name).read_bytes()
+    for name in sorted(names):
+        content = (folder / name).read_bytes()
         size += len(content)
         digests.append(f"{hashlib.sha256(content).hexdigest()}  {name}\n")
-    digest = hashlib.sha256("".join(digests).encode("utf-8", "surrogateescape")).hexdigest()
-    return LoadedModel(model, "sog", repairs, size, digest)
+    return size, hashlib.sha256("".join(digests).encode("utf-8", "surrogateescape")).hexdigest()

@@ -17,6 +17,7 @@ from engine.errors import UnsupportedFormatError
 from engine.formats import FORMATS, read_model, write_model
 from engine.formats.file_writing import encode_model, loss_note, write_whole
 from engine.formats.guards import opening, read_regular
+from engine.formats.model_reading import weigh_files
 from engine.formats.ply.header import MAX_HEADER_BYTES
 from engine.formats.repairs import Repair
 from engine.model import GaussianModel
@@ -113,13 +114,7 @@ def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_fra
 def _read_folder(folder: Path, kind: str) -> Loaded:
     scene: Scene = read_codebook(folder) if kind == CODEBOOK else read_frames(folder)
     parts = (PLY, CENTERS, INDICES, ARGS) if kind == CODEBOOK else [path.name for path in frame_files(folder)]
-    size, lines = 0, []
-    for part in sorted(parts):
-        content = (folder / part).read_bytes()
-        size += len(content)
-        lines.append(f"{hashlib.sha256(content).hexdigest()}  {part}\n")
-    digest = hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
-    return Loaded(scene, kind, (), size, digest)
+    return Loaded(scene, kind, (), *weigh_files(folder, parts))
 
 
 def written_as(loaded: Loaded, kind: str) -> str:

@@ -18,13 +18,16 @@ if TYPE_CHECKING:
     from engine.flows.regions.region_search import RegionReport
     from engine.flows.trace.candidates import Candidate, Outcome, Search
     from engine.flows.verify.decision import VerifyConfig
-    from engine.flows.verify.search import Verification
+    from engine.flows.verify.search import Suspect, Verification
     from engine.usecases.suspect import ReadSuspect, SuspectSource
     from engine.watermark.claim import Claim
     from engine.watermark.rates import Attested
     from engine.watermark.regions import RegionConfig
 
 __all__ = ["VerifyAnswer", "VerifyReport", "VerifyRequest", "verify"]
+
+MOMENTS = 9
+"""Moments of a clip that pictures are compared with; each is a try."""
 
 C = TypeVar("C", bound="Candidate")
 
@@ -138,7 +141,6 @@ def verify(
 def _search_moments(request: VerifyRequest[C], read: ReadSuspect) -> Search[C] | None:
     """The one record compared with moments of its clip; None where the suspect is a clip itself."""
     from engine.flows.trace.candidates import Outcome, Search
-    from engine.scenes.clip_suspects import verify_in_motion
     from engine.scenes.scene_files import CLIPS
 
     if request.original is None or read.format in CLIPS:
@@ -148,3 +150,26 @@ def _search_moments(request: VerifyRequest[C], read: ReadSuspect) -> Search[C] |
     found = verify_in_motion(read.suspect, opened, request.original, request.config)
     outcome = Outcome(candidate, found.claim, opened=opened, found=found)
     return Search((outcome,), found.claim.tries, found.seconds_by_stage)
+
+
+def verify_in_motion(suspect: Suspect, opened: OpenedRecord, original: Path, config: VerifyConfig) -> Verification:
+    """Does this model, exported from a clip, or do these pictures of one moment of it, carry the mark?
+
+    `original` is the file or the folder of the unmarked clip that the record commits to; InputError if it is another,
+    or none. All moments that pictures are compared with are counted as tries; which moment a model shows is told by
+    geometry alone.
+    """
+    import numpy as np
+
+    from engine.model import GaussianModel
+    from engine.scenes.clip_marking import verify_moment, verify_moving_images
+    from engine.scenes.codebook_model import CodebookModel
+    from engine.scenes.scene_files import read_scene
+
+    loaded = read_scene(original)
+    if isinstance(loaded.scene, GaussianModel | CodebookModel):
+        raise InputError(f"{original}: is no clip that moves ({loaded.format})")
+    if suspect.model is not None:
+        return verify_moment(suspect.model, opened, loaded.scene, config=config)
+    times = np.linspace(*loaded.scene.span, MOMENTS).tolist()
+    return verify_moving_images(suspect.pictures, opened, loaded.scene, times, config, suspect.cameras)[0]
