@@ -28,7 +28,7 @@ SCENE = encode_model(read_model(ROOT / "tests" / "data" / "train_1000.ply").mode
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests here; the budget of near duplicates is small, and one test spends it."""
-    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="8", WORKER_SILENCE_SECONDS="4")
+    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4")
     yield made
     made.stop()
 
@@ -265,7 +265,7 @@ def test_near_duplicates_share_a_budget(alice: Client, marked: Embedded, model: 
     changed = bytearray(model)
 
     def ask_again_and_again() -> None:
-        for number in range(9):
+        for number in range(6):
             changed[24] = number  # one byte of one colour
             alice.verify(bytes(changed), asset_id=marked.asset_id)
 
