@@ -25,11 +25,10 @@ from tests.scenes import sparse_plant
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 
 
-@pytest.fixture(scope="module", params=[20, pytest.param(5, marks=pytest.mark.long)])
-def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> MarkedScene:
-    """Of every so-manyth Gaussian."""
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> MarkedScene:
     path = tmp_path_factory.mktemp("scene") / "plant.splat"
-    path.write_bytes(sparse_plant(every=request.param))
+    path.write_bytes(sparse_plant())
     return mark_scene(path, profile("fast", landmark_views=0, views=2, view_size=192))
 
 

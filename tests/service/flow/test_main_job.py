@@ -126,18 +126,6 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
     assert told["attested"]["by"].startswith("the log of the service")
 
 
-def test_what_is_not_marked_is_not_claimed(alice: Client, raw: httpx.Client, marked: Embedded) -> None:
-    """A negative answer is an answer: 200, and a signed claim. The original derives from the asset, unmarked."""
-    form = {"asset_id": marked.asset_id}
-    answer = raw.post("/v1/verify", data=form, files={"model": SCENE}, headers={"Prefer": "wait=60"})
-    assert answer.status_code == 200
-    assert answer.json()["result"]["verdict"] == "not_marked"
-    document = alice.claim(answer.json()["result"]["claim_id"]).document
-    checks = {check["code"]: check["ok"] for check in document["checks"]}
-    assert (checks["derived"], checks["mark"]) == (True, False)
-    assert document["derived_but_unmarked"] is True
-
-
 def test_a_stranger_cannot_mark_it_again(bob: Client, marked: Embedded, model: bytes) -> None:
     """The classic deadlock of two owners: the later one is told, and learns nothing of the earlier."""
     with pytest.raises(ServiceError, match="another party") as caught:
@@ -249,6 +237,22 @@ def test_a_later_copy_costs_a_part(alice: Client, owner_key: str) -> None:
     first = next(asset for asset in alice.assets() if asset.copy_name == "survivor")
     made, taken = (alice.asset(name).report["seconds_by_stage"]["landmarks"] for name in (first.id, ended.asset_id))
     assert taken < 0.3 * made
+
+
+def test_what_is_not_marked_is_not_claimed(alice: Client, raw: httpx.Client) -> None:
+    """A negative answer is an answer: 200, and a signed claim. The original derives from the asset, unmarked.
+
+    Of the thousand Gaussians of the other tests, some keys leave too little evidence to exclude the mark.
+    """
+    asset = next(asset for asset in alice.assets() if asset.copy_name == "second")
+    form = {"asset_id": asset.id}
+    answer = raw.post("/v1/verify", data=form, files={"model": sparse_plant()}, headers={"Prefer": "wait=60"})
+    assert answer.status_code == 200
+    assert answer.json()["result"]["verdict"] == "not_marked"
+    document = alice.claim(answer.json()["result"]["claim_id"]).document
+    checks = {check["code"]: check["ok"] for check in document["checks"]}
+    assert (checks["derived"], checks["mark"]) == (True, False)
+    assert document["derived_but_unmarked"] is True
 
 
 def test_a_model_too_small_for_its_message(raw: httpx.Client, owner_key: str) -> None:
