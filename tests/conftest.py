@@ -73,12 +73,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     from xdist.scheduler import LoadFileScheduling
 
-    class PageTogether(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            file = super()._split_scope(nodeid)
-            return PAGE if file.startswith(PAGE) else file
-
-    return PageTogether(config, log)
+    scheduling = LoadFileScheduling(config, log)
+    file_of = scheduling._split_scope
+    scheduling._split_scope = lambda nodeid: PAGE if nodeid.startswith(PAGE) else file_of(nodeid)
+    return scheduling
 
 
 @pytest.fixture
