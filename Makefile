@@ -16,7 +16,8 @@ WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
 UNITS := architecture cli compress credentials flows formats kernels numerics pictures present raster records registration theory watermark
 # Also where the environment forbids it: each worker would rewrite the asserts of all tests anew.
 export PYTHONDONTWRITEBYTECODE :=
-PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile
+# In the order of tests/conftest.py, longest files first; by default files of few tests, however long, would come last.
+PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 .PHONY: install demo test full quick core-test lab-test mutants results docker-test check kernels clean
 

@@ -32,7 +32,7 @@ def masked(text: str) -> str:
     return " ".join(VARIABLE.sub("#", text).split()).replace("no better than chance", "at most # in #")
 
 
-PAGES = ("README.md", "docs/GUIDE.md")
+PAGES = ("README.md", pytest.param("docs/GUIDE.md", marks=pytest.mark.long))
 KEPT_SHARE = "0.132"
 """Of the plant's 113,648 Gaussians: 15,002."""
 

@@ -47,9 +47,10 @@ def installed() -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_piece_is_found_and_the_original_is_not(plant: Path, tmp_path: Path) -> None:
+    """The program draws its key, and how firmly so small a model excludes the mark depends on that; never claimed."""
     piece, original = run("mark_and_verify.py", plant, tmp_path).splitlines()
-    assert piece.startswith("piece: marked")
-    assert original.startswith("original: not_marked")
+    assert piece.startswith("piece: marked,")
+    assert re.match(r"original: (not_marked|inconclusive),", original), original
 
 
 @pytest.mark.usefixtures("installed")

@@ -28,7 +28,7 @@ SCENE = encode_model(read_model(ROOT / "tests" / "data" / "train_1000.ply").mode
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests here; the budget of near duplicates is small, and one test spends it."""
-    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="8", WORKER_SILENCE_SECONDS="4")
+    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4")
     yield made
     made.stop()
 
@@ -124,18 +124,6 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
     told = json.loads(done.stdout)
     assert (told["false_claim_rate"], told["rate_basis"]) == (1e-9, "drawn")
     assert told["attested"]["by"].startswith("the log of the service")
-
-
-def test_what_is_not_marked_is_not_claimed(alice: Client, raw: httpx.Client, marked: Embedded) -> None:
-    """A negative answer is an answer: 200, and a signed claim. The original derives from the asset, unmarked."""
-    form = {"asset_id": marked.asset_id}
-    answer = raw.post("/v1/verify", data=form, files={"model": SCENE}, headers={"Prefer": "wait=60"})
-    assert answer.status_code == 200
-    assert answer.json()["result"]["verdict"] == "not_marked"
-    document = alice.claim(answer.json()["result"]["claim_id"]).document
-    checks = {check["code"]: check["ok"] for check in document["checks"]}
-    assert (checks["derived"], checks["mark"]) == (True, False)
-    assert document["derived_but_unmarked"] is True
 
 
 def test_a_stranger_cannot_mark_it_again(bob: Client, marked: Embedded, model: bytes) -> None:
@@ -251,6 +239,22 @@ def test_a_later_copy_costs_a_part(alice: Client, owner_key: str) -> None:
     assert taken < 0.3 * made
 
 
+def test_what_is_not_marked_is_not_claimed(alice: Client, raw: httpx.Client) -> None:
+    """A negative answer is an answer: 200, and a signed claim. The original derives from the asset, unmarked.
+
+    Of the thousand Gaussians of the other tests, some keys leave too little evidence to exclude the mark.
+    """
+    asset = next(asset for asset in alice.assets() if asset.copy_name == "second")
+    form = {"asset_id": asset.id}
+    answer = raw.post("/v1/verify", data=form, files={"model": sparse_plant()}, headers={"Prefer": "wait=60"})
+    assert answer.status_code == 200
+    assert answer.json()["result"]["verdict"] == "not_marked"
+    document = alice.claim(answer.json()["result"]["claim_id"]).document
+    checks = {check["code"]: check["ok"] for check in document["checks"]}
+    assert (checks["derived"], checks["mark"]) == (True, False)
+    assert document["derived_but_unmarked"] is True
+
+
 def test_a_model_too_small_for_its_message(raw: httpx.Client, owner_key: str) -> None:
     small = (ROOT / "tests" / "data" / "train_1000.ply").read_bytes()
     answer = raw.post(
@@ -265,7 +269,7 @@ def test_near_duplicates_share_a_budget(alice: Client, marked: Embedded, model: 
     changed = bytearray(model)
 
     def ask_again_and_again() -> None:
-        for number in range(9):
+        for number in range(6):
             changed[24] = number  # one byte of one colour
             alice.verify(bytes(changed), asset_id=marked.asset_id)
 
