@@ -8,7 +8,8 @@ import pytest
 from engine.formats import write_model
 from engine.formats.model_reading import read_model
 from engine.lab.evaluate.bench import removal
-from engine.lab.evaluate.bench.removal import measure_removal, shake, smooth, wash
+from engine.lab.evaluate.bench.removal import measure_removal, wash
+from engine.lab.sim.adversaries.laundering import shake, smooth
 from engine.model import GaussianModel
 from engine.watermark.grain import units
 

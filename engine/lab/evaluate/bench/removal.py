@@ -12,7 +12,6 @@ He knows how cells are made, what both layers move and by how much; not the sign
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from engine.compress.hvq import HvqConfig, group_means, quantize
 from engine.flows.embed.layer_strengths import add_dc
@@ -22,10 +21,10 @@ from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import mark_scene
 from engine.lab.evaluate.study import Row
-from engine.model import Float64, GaussianModel
+from engine.lab.sim.adversaries.laundering import shake, smooth
+from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
-from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.unpredictability import guess
 
 WASHES = (2.0, 4.0, 5.5, 8.0, np.inf)
@@ -49,24 +48,6 @@ def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
     missed = colors - guess(centers, colors)[0]
     taken = missed if np.isinf(times) else times * size * np.tanh(missed / (SOFT * size))
     return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)[stage.labels]))
-
-
-def smooth(model: GaussianModel, neighbours: int) -> GaussianModel:
-    """Every colour the mean of its neighbours', itself among them."""
-    near = cKDTree(model.means).query(model.means, k=min(neighbours, len(model)), workers=2)[1]
-    colors = model.sh[near.reshape(len(model), -1), 0]  # (N, neighbours, 3)
-    return model.with_(sh=add_dc(model.sh, colors.mean(axis=1) - model.sh[:, 0]))
-
-
-def rattle(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
-    """Centres and sizes moved at random, `sigma` in each Gaussian's own size."""
-    moves: Float64 = rng.standard_normal((len(model), ATTRIBUTES)) * ([sigma] * 3 + [min(sigma, 1.0) / 2] * 3)
-    return roughen(model, Grain(1.0, 1.0), moves.astype(np.float32))
-
-
-def shake(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
-    """Centres and sizes moved at random, and the order drawn anew."""
-    return rattle(model, sigma, rng).take(rng.permutation(len(model)))
 
 
 def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:

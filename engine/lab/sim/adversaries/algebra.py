@@ -61,8 +61,9 @@ def algebra(
     middle = places.mean(axis=0)
     along = np.einsum("nij,kni->knj", axes, places - middle) / size  # (k, N, 3)
     moved = solve_steps(along, settle, steps)[0]
-    sh = settle(stack("sh"))
-    sh[:, 0] = solve_cells(np.stack([copy.sh[:, 0] for copy in copies]).astype(np.float64), sh[:, 0])
+    colors = stack("sh")
+    sh = settle(colors)
+    sh[:, 0] = solve_cells(colors[:, :, 0], sh[:, 0])
     return model.with_(
         log_scales=log_scales.astype(np.float32),
         means=(middle + np.einsum("nij,nj->ni", axes, moved * size)).astype(np.float32),
@@ -177,7 +178,7 @@ def _moves(codes: Float64, labels: Sequence[Int32]) -> list[Float64]:
     rows = np.arange(len(a))
     one = np.ones(len(a))
     system = coo_matrix((np.r_[one, -one], (np.r_[rows, rows], np.r_[a, b])), shape=(len(a), total)).tocsr()
-    moves = np.stack([lsqr(system, column, atol=1e-12, btol=1e-12)[0] for column in wanted.T], axis=1)
+    moves = np.stack([lsqr(system, column, atol=1e-7, btol=1e-7)[0] for column in wanted.T], axis=1)
     piece = connected_components(coo_matrix((one, (a, b)), shape=(total, total)), directed=False)[1]
     # One constant a piece stays open: its part below a byte is in the remainders, and a mark moves by nothing on average
     left_over = np.empty((total, 3))
@@ -195,3 +196,45 @@ def _moves(codes: Float64, labels: Sequence[Int32]) -> list[Float64]:
         mean = np.bincount(piece, weight * moves[:, channel], pieces) / np.bincount(piece, weight, pieces)
         moves[:, channel] += (shift - np.round(mean + shift))[piece]
     return np.split(moves, offsets[1:-1])
+
+
+@ATTACKS.add(
+    "put copies together, and push at random what they agree on",
+    "push, in steps of the copies' differences",
+    10.0,
+    (1.0, 2.0, 4.0, 5.5, 10.0, 16.0, 24.0),
+    "[0, inf)",
+)
+def push(
+    model: GaussianModel, strength: float, rng: np.random.Generator, *, others: Sequence[GaussianModel] = ()
+) -> GaussianModel:
+    """Centers along their own axes and sizes: where copies differ the middle, where they agree up or down by `strength`
+    steps, by a coin. A step is the root mean square of what one copy adds. Colors are solved for by their cells, as in
+    `algebra`; opacities, and colors where no cells show, become their mean.
+
+    Two values agree when they lie closer than half a step. The `others` have the same Gaussians in the same order;
+    InputError where none is given or they differ in shape.
+    """
+    copies = same_shape(model, others)
+
+    def pushed(values: Float64) -> Float64:
+        spread = np.ptp(values, axis=0)
+        step = np.sqrt(values.var(axis=0, ddof=1).mean())
+        coin = rng.choice([-1.0, 1.0], values.shape[1:])
+        return (values.min(axis=0) + values.max(axis=0)) / 2.0 + np.where(spread < 0.5 * step, strength * step, 0) * coin
+
+    def stack(name: str) -> Float64:
+        return np.stack([getattr(copy, name) for copy in copies]).astype(np.float64)
+
+    axes, size, places = quaternion_to_rotation(model.quats), units(model.log_scales), stack("means")
+    middle = places.mean(axis=0)
+    moved = pushed(np.einsum("nij,kni->knj", axes, places - middle) / size)
+    colors = stack("sh")
+    sh = colors.mean(axis=0)
+    sh[:, 0] = solve_cells(colors[:, :, 0], sh[:, 0])
+    return model.with_(
+        means=(middle + np.einsum("nij,nj->ni", axes, moved * size)).astype(np.float32),
+        log_scales=pushed(stack("log_scales")).astype(np.float32),
+        opacity_logits=stack("opacity_logits").mean(axis=0).astype(np.float32),
+        sh=sh.astype(np.float32),
+    )
