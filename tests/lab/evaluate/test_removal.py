@@ -53,6 +53,7 @@ def test_the_model_claims_while_there_is_anything_to_look_at(
     monkeypatch.setattr(removal, "WASHES", (5.5,))
     monkeypatch.setattr(removal, "SMOOTH", (8,))
     monkeypatch.setattr(removal, "SHAKES", (1.0,))
+    monkeypatch.setattr(removal, "CHAINS", ())
     rows = measure_removal(path, 1, "fast")
     assert len(rows) == 5
     for row in rows:

@@ -22,6 +22,8 @@ from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.laundering import shake, smooth
+from engine.lab.sim.attack import Strength
+from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
@@ -35,6 +37,17 @@ SMOOTH = (8, 32)
 """Neighbours of which a colour becomes the mean."""
 SHAKES = (0.3, 1.0, 2.0, 4.0)
 """Standard deviation of a centre's move, in the Gaussian's own size along each axis."""
+CHAINS: tuple[tuple[str, tuple[tuple[str, Strength], ...]], ...] = (
+    ("lattice", (("lattice", "all"),)),
+    ("lattice, smoothed over 64", (("lattice", "all"), ("smooth_colors", 64))),
+    ("purified over 8", (("purify_train", 8),)),
+    ("purified over 32", (("purify_train", 32),)),
+    ("purified over 64", (("purify_train", 64),)),
+    ("chaff", (("chaff", 3.0),)),
+    *((f"through .{form}", (("convert", form),)) for form in ("splat", "spz", "sog", "compressed.ply")),
+    *((f"through .{form}, lattice", (("convert", form), ("lattice", "all"))) for form in ("spz", "sog")),
+)
+"""Attacks of the laboratory, chained."""
 PICTURES = 3
 SIDE = 640
 
@@ -60,6 +73,11 @@ def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, G
         shaken = shake(model, sigma, np.random.default_rng(seed))
         yield f"shaken by {sigma:g}", shaken
         yield f"shaken by {sigma:g}, smoothed over {SMOOTH[0]}", smooth(shaken, SMOOTH[0])
+    for name, chain in CHAINS:
+        suspect = model
+        for attack, strength in chain:
+            suspect = model_attack(attack).apply(suspect, strength, rng=seed)
+        yield name, suspect
 
 
 def measure_removal(scene: str, seed: int, profile: str) -> list[Row]:

@@ -17,7 +17,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.lab.sim.adversaries.collusion import same_shape
 from engine.lab.sim.attack import Attacks
-from engine.model import SH_C0, Bool, Float32, Float64, GaussianModel, Int32
+from engine.model import SH_C0, Bool, Float64, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.watermark.grain import units
 
@@ -180,7 +180,7 @@ def _moves(codes: Float64, labels: Sequence[Int32]) -> list[Float64]:
     system = coo_matrix((np.r_[one, -one], (np.r_[rows, rows], np.r_[a, b])), shape=(len(a), total)).tocsr()
     moves = np.stack([lsqr(system, column, atol=1e-7, btol=1e-7)[0] for column in wanted.T], axis=1)
     piece = connected_components(coo_matrix((one, (a, b)), shape=(total, total)), directed=False)[1]
-    # One constant a piece stays open: its part below a byte is in the remainders, and a mark moves by nothing on average
+    # One constant a piece stays open: its part below a byte is in the remainders, and marks have a mean near zero.
     left_over = np.empty((total, 3))
     weight = np.empty(total)
     for offset, count, label, code in zip(offsets, counts, labels, codes, strict=False):
@@ -221,7 +221,9 @@ def push(
         spread = np.ptp(values, axis=0)
         step = np.sqrt(values.var(axis=0, ddof=1).mean())
         coin = rng.choice([-1.0, 1.0], values.shape[1:])
-        return (values.min(axis=0) + values.max(axis=0)) / 2.0 + np.where(spread < 0.5 * step, strength * step, 0) * coin
+        return (values.min(axis=0) + values.max(axis=0)) / 2.0 + np.where(
+            spread < 0.5 * step, strength * step, 0
+        ) * coin
 
     def stack(name: str) -> Float64:
         return np.stack([getattr(copy, name) for copy in copies]).astype(np.float64)

@@ -53,6 +53,8 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 }
 """By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
+NEED_COPIES = ("collude", "algebra", "push")  # attacks that take `others`
+
 FIRST = "first"  # the rule that averages colors and keeps one copy's geometry, whose owner the marks then name loudest
 RULES = (*_VALUE_RULES, *_MIXERS, FIRST)  # names of the rules
 
@@ -91,6 +93,13 @@ def same_shape(model: GaussianModel, others: Sequence[GaussianModel]) -> list[Ga
         if other.sh.shape != model.sh.shape:
             raise InputError(f"copy {number} has colors {other.sh.shape}, the first has {model.sh.shape}")
     return [model, *others]
+
+
+def in_order_of(model: GaussianModel, other: GaussianModel) -> GaussianModel:
+    """Another copy in the order of this one: formats sort by values that differ. The nearest center is the partner."""
+    from scipy.spatial import cKDTree
+
+    return other.take(cKDTree(other.means).query(model.means, workers=2)[1])
 
 
 def _combined(copies: Sequence[Float32], rule: _Rule, rng: np.random.Generator) -> Float32:

@@ -73,14 +73,15 @@ def pair_values(values: Float64) -> tuple[Float64, float] | None:
     low, high = np.nonzero((apart > 4 * NOISE) & (apart < 0.5) & _even(counts))
     if not len(low):
         return None
-    # The step is the distance that most values have to a partner; a codebook's own distances are those of few.
+    # The step is a distance that most values have to a partner; a codebook's own distances are those of few.
     gaps = apart[low, high]
     ranked = np.argsort(gaps)
     bins = np.cumsum(np.r_[0, np.diff(gaps[ranked]) > NOISE])
     score = np.bincount(bins, np.minimum(counts[low], counts[high])[ranked])
-    best = ranked[bins == int(score.argmax())]
-    if 2.0 * score.max() < ON_LATTICE * len(flat):
+    enough = np.flatnonzero(2.0 * score >= ON_LATTICE * len(flat))
+    if not len(enough):
         return None
+    best = ranked[bins == enough[0]]  # on an even lattice, steps beyond the nearest value fit as well
     step = float(np.median(gaps[best])) / 2.0
     middle = distinct.copy()
     taken = np.zeros(len(distinct), dtype=bool)
