@@ -23,7 +23,7 @@ PARTS = ("all", "geometry", "colors")
 NOISE = 1e-6  # rounding of a log scale in floats
 VALUES = 4096  # distinct log scales of a codebook behind a mark at most
 EVEN = 5.0  # standard deviations by which the counts of a pair may differ
-STEP_SPZ = 1.0 / 4096.0  # of a center, units: what .spz is written with
+STEPS_SPZ = tuple(2.0**-bits for bits in range(8, 23))  # of a center, units: .spz, coarsest first
 LEVELS_SOG = 65535  # steps of a center's signed logarithm in .sog
 NEAR = 0.03  # of a step: a place nearer to a lattice point lies on it
 SAMPLE = 2000
@@ -100,18 +100,23 @@ def _even(counts: Int64) -> Float64:
 
 
 def _on_lattice(places: Float64, rng: np.random.Generator) -> Float64:
-    """Of eight places (8, N, 3) each, the point (N, 3) of the lattice that one lies on; where none does, the middle."""
+    """Of eight places (8, N, 3) each, the point (N, 3) of the lattice that one lies on; where none does, the middle.
+
+    An axis without a lattice has no say, and keeps its coordinate of the place that the others chose.
+    """
     shown = places[:, rng.permutation(places.shape[1])[:SAMPLE]]
     axes = [_axis(places[..., axis], shown[..., axis]) for axis in range(3)]
-    if any(axis is None for axis in axes):
+    snapped = places.copy()
+    missed = np.zeros(places.shape[:2])  # (8, N)
+    for number, axis in enumerate(axes):
+        if axis is not None:
+            index = axis[0](places[..., number])
+            missed = np.maximum(missed, np.abs(index - np.round(index)))
+            snapped[..., number] = axis[1](np.round(index))
+    if not missed.any():
         return np.asarray(places.mean(axis=0))
-    to, back = zip(*(axis for axis in axes if axis is not None), strict=True)
-    index = np.stack([function(places[..., axis]) for axis, function in enumerate(to)], axis=-1)
-    missed = np.abs(index - np.round(index)).max(axis=2)  # (8, N)
-    best = missed.argmin(axis=0)
-    rows = np.arange(places.shape[1])
-    points = np.round(index[best, rows])
-    snapped = np.stack([function(points[:, axis]) for axis, function in enumerate(back)], axis=-1)
+    best, rows = missed.argmin(axis=0), np.arange(places.shape[1])
+    snapped = snapped[best, rows]
     return np.where((missed[best, rows] < NEAR)[:, None], snapped, places.mean(axis=0))
 
 
@@ -125,8 +130,9 @@ def _axis(places: Float64, shown: Float64) -> Axis | None:
     def share(x: Float64) -> float:
         return float((np.abs(x - np.round(x)).min(axis=0) < NEAR).mean())
 
-    if share(shown / STEP_SPZ) > ON_LATTICE:
-        return lambda x: x / STEP_SPZ, lambda n: n * STEP_SPZ
+    even = next((power for power in STEPS_SPZ if share(shown / power) > ON_LATTICE), 0.0)
+    if even:
+        return lambda x: x / even, lambda n: n * even
     logs = np.sign(shown) * np.log1p(np.abs(shown))
     order = np.argsort(places.mean(axis=0))
     ends = [places[:, part].reshape(-1) for part in (order[:ENDS], order[-ENDS:])]
