@@ -28,7 +28,7 @@ FINITE = 0.7  # share of the differences that must lie at its values
 CLEAR = 3.0  # a sign is read where the other one misses by so many times as much
 LINK, GRID = 5e-4, 1e-4  # remainders closer than LINK, bytes, belong to one cell; they are rounded to GRID before
 CELL = 8  # Gaussians a cell at least, on average: remainders of colors that are no bytes lie alone
-OPEN = ("mean", "random")
+OPEN = ("mean", "first", "random")
 
 Settle = Callable[[Float64], Float64]
 """Values (k, N, 3) of all copies to (N, 3), where nothing tells the original."""
@@ -40,7 +40,7 @@ def algebra(
 ) -> GaussianModel:
     """The original of sizes and centers from steps of few strengths, of colors from cells; see the module.
 
-    What stays open becomes the "mean" of the copies, or is that of a "random" copy. The `others` have the same
+    What stays open becomes the "mean" of the copies, or is that of the "first" or a "random" copy. The `others` have the same
     Gaussians in the same order. InputError where the rule is unknown, no other is given or they differ in shape.
     """
     if strength not in OPEN:
@@ -53,6 +53,8 @@ def algebra(
     def settle(values: Float64) -> Float64:
         if strength == "mean":
             return np.asarray(values.mean(axis=0))
+        if strength == "first":
+            return np.asarray(values[0].copy())
         return np.asarray(np.take_along_axis(values, rng.integers(len(values), size=(1, *values.shape[1:])), 0)[0])
 
     log_scales, steps = solve_steps(stack("log_scales"), settle)
