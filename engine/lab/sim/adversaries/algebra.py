@@ -40,7 +40,9 @@ def algebra(
 ) -> GaussianModel:
     """The original of sizes and centers from steps of few strengths, of colors from cells; see the module.
 
-    What stays open becomes the "mean" of the copies, or is that of the "first" or a "random" copy. The `others` have the same
+    What stays open becomes the "mean" of the copies, or is that of the "first" or a "random" copy.
+
+    The `others` have the same
     Gaussians in the same order. InputError where the rule is unknown, no other is given or they differ in shape.
     """
     if strength not in OPEN:
