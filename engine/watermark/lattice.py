@@ -6,18 +6,18 @@ same lattice, by stochastic rounding whose dither follows from the key: on avera
 
 Lattices are found in the values themselves, column by column, since nobody says through which formats a file went:
 
-- a *table*: few distinct values (bytes of `.splat`, of 8-bit trainers, of `.spz`; codebooks of `.sog`);
-- *even* steps, plain (24-bit centres of `.spz`) or of sign(x) log(1 + |x|) (16-bit centres of `.sog`);
+- a *table*: few distinct values (codebooks of `.sog`);
+- *even* steps, plain (bytes; 24-bit centres of `.spz`) or of sign(x) log(1 + |x|) (16-bit centres of `.sog`);
 - *chunks*: even steps between the least and the largest of 256 rows in turn (compressed PLY).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import Bool, Float32, Float64, GaussianModel
 from engine.watermark.keys import uniform
 
 __all__ = ["Lattices", "find_lattices"]
@@ -46,6 +46,10 @@ class Table:
         """(N,) where values lie: whole numbers on the lattice."""
         return np.asarray(np.interp(values, self.values, np.arange(len(self.values))))
 
+    def inside(self, places: Float64) -> Bool:
+        """(N,) places that a value may leave: all."""
+        return np.ones(len(places), dtype=bool)
+
     def values_at(self, places: Float64) -> Float32:
         """(N,) values at whole places, the last one where a place is outside."""
         rows = np.clip(places, 0, len(self.values) - 1).astype(np.int64)
@@ -65,6 +69,7 @@ class Even:
     spacing: Float64  # the same; 0 where a chunk has one value
     most: Float64  # last whole place, the same; the first is 0
     logarithmic: bool = False
+    known: Float32 = field(default_factory=lambda: np.empty(0, np.float32))  # distinct values in order, of no chunks
 
     def places(self, values: Float32) -> Float64:
         """As of `Table`."""
@@ -72,10 +77,21 @@ class Even:
         gap = at - self.origin
         return np.asarray(np.divide(gap, self.spacing, out=np.zeros_like(gap), where=self.spacing > 0))
 
+    def inside(self, places: Float64) -> Bool:
+        """As of `Table`: all but the ends, from which readers count."""
+        return np.asarray((places > 0) & (places < self.most))
+
     def values_at(self, places: Float64) -> Float32:
-        """As of `Table`."""
+        """As of `Table`; the original's own value, to the last bit, where it has one there."""
         at = self.origin + self.spacing * np.clip(places, 0, self.most)
-        return np.asarray(np.sign(at) * np.expm1(np.abs(at)) if self.logarithmic else at, dtype=np.float32)
+        values = np.asarray(np.sign(at) * np.expm1(np.abs(at)) if self.logarithmic else at)
+        if not len(self.known):
+            return values.astype(np.float32)
+        after = np.clip(np.searchsorted(self.known, values), 1, len(self.known) - 1)
+        low, high = self.known[after - 1], self.known[after]
+        nearest = np.where(values - low < high - values, low, high)
+        same = np.rint(self.places(nearest)) == np.clip(places, 0, self.most)
+        return np.where(same, nearest, values.astype(np.float32)).astype(np.float32)
 
     @property
     def step(self) -> float:
@@ -122,8 +138,7 @@ class Lattices:
             for k, lattice in enumerate(columns):
                 if lattice is not None:
                     dither = uniform(subkey, len(before), f"{name[:10]}{k}")
-                    least = 0.0 if name == "dc" else LEAST_MOVE
-                    rounded[:, k] = _round(lattice, before[:, k], after[:, k], dither, least)
+                    rounded[:, k] = _round(lattice, before[:, k], after[:, k], dither, LEAST_MOVE[name])
             changed[name] = rounded
         sh = wanted.sh.copy()
         sh[:, 0] = changed.get("dc", sh[:, 0])
@@ -135,9 +150,9 @@ FREE = Lattices()
 """Values that may be moved anywhere."""
 
 
-LEAST_MOVE = 0.25
-"""Of a step that a Gaussian's grain must be to be rounded, up or down; below, it stays. A rare whole step says little
-of a small displacement, and shows. Colors are rounded whatever they are: code vectors average over many."""
+LEAST_MOVE = {"means": 0.25, "log_scales": 0.25, "dc": 0.05}
+"""Of a step that a displacement must be to be rounded, up or down; below, the value stays. A rare whole step says
+little of a small displacement, and shows. Of colors, code vectors average over many."""
 
 
 def _round(lattice: Lattice, before: Float32, after: Float32, dither: Float64, least: float) -> Float32:
@@ -145,7 +160,7 @@ def _round(lattice: Lattice, before: Float32, after: Float32, dither: Float64, l
     stay bit for bit."""
     wanted, home = lattice.places(after), np.rint(lattice.places(before))
     places = np.floor(wanted + dither)
-    moved = (after != before) & (places != home) & (np.abs(wanted - home) >= least)
+    moved = (after != before) & (places != home) & (np.abs(wanted - home) >= least) & lattice.inside(home)
     return np.where(moved, lattice.values_at(places), before).astype(np.float32)
 
 
@@ -165,14 +180,14 @@ def _find(values: Float32) -> Lattice | None:
     distinct = np.unique(values)
     if len(values) < LEAST_ROWS or len(distinct) < 2 or not np.isfinite(distinct).all():
         return None
-    if len(distinct) <= FEW * len(values):
-        return Table(distinct.astype(np.float64))
     plain = _even(distinct.astype(np.float64))
     if plain is not None:
-        return plain
+        return replace(plain, known=distinct)
+    if len(distinct) <= FEW * len(values):
+        return Table(distinct.astype(np.float64))
     logs = _even(_signed_log(distinct))
     if logs is not None:
-        return Even(logs.origin, logs.spacing, logs.most, logarithmic=True)
+        return replace(logs, logarithmic=True, known=distinct)
     return _chunks(values)
 
 

@@ -9,7 +9,16 @@ from typing import Any, TypeVar
 
 from engine.errors import InputError
 from engine.lab.sim import image_attacks, image_encoders, model_placement, model_population, model_values
-from engine.lab.sim.adversaries import appearance, collusion, evolution, purification, second_marks
+from engine.lab.sim.adversaries import (
+    algebra,
+    appearance,
+    collusion,
+    evolution,
+    lattices,
+    laundering,
+    purification,
+    second_marks,
+)
 from engine.lab.sim.attack import Attack
 from engine.model import Float32, GaussianModel
 
@@ -22,7 +31,10 @@ MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {
     **appearance.ATTACKS,
     **purification.ATTACKS,
     **evolution.ATTACKS,
-    **collusion.ATTACKS,  # needs `others`
+    **collusion.ATTACKS,  # these and the next need `others`
+    **algebra.ATTACKS,
+    **lattices.ATTACKS,
+    **laundering.ATTACKS,
     **second_marks.ATTACKS,  # `transplant` needs `source`
 }
 """Attacks on models, by name."""

@@ -52,6 +52,24 @@ def blur_small_kernel(image: Float32, strength: float, rng: np.random.Generator)
     return _blurred(image, strength, 3)
 
 
+@ATTACKS.add("motion blur along a line", "length, pixels", 15.0, (1, 2, 4, 8, 15, 25), "[0, 200]")
+def motion_blur(image: Float32, strength: float, rng: np.random.Generator) -> Picture:
+    """A camera or hand that moves while the picture is taken; the direction is random."""
+    import cv2
+
+    half = int(np.ceil(strength / 2.0))
+    angle = rng.uniform(0.0, np.pi)
+    kernel = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.float32)
+    along = np.linspace(-0.5, 0.5, 16 * (half + 1) + 1) * strength
+    for x, y in zip(half + along * np.cos(angle), half + along * np.sin(angle), strict=True):
+        left, top = int(np.floor(x)), int(np.floor(y))
+        for column, row in ((left, top), (left + 1, top), (left, top + 1), (left + 1, top + 1)):
+            if 0 <= column < len(kernel) and 0 <= row < len(kernel):
+                kernel[row, column] += (1.0 - abs(x - column)) * (1.0 - abs(y - row))
+    kernel /= kernel.sum()
+    return np.asarray(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REFLECT))
+
+
 @ATTACKS.add(
     "rotate the picture on its canvas, black corners", "degrees", 30.0, (0.1, 0.5, 1, 3, 10, 20, 30, 45, 90, 180)
 )

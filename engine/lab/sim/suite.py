@@ -14,6 +14,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
+from engine.lab.sim.adversaries.collusion import NEED_COPIES
 from engine.lab.sim.attack import Label, Strength
 from engine.lab.sim.attack_cost import CHEAP_DB, Cost, image_cost, model_cost
 from engine.lab.sim.attacks import image_attack, model_attack
@@ -97,7 +98,7 @@ def apply_chain(
             continue
         attack: Any = find(name)
         options: dict[str, object] = {}
-        if name == "collude":
+        if name in NEED_COPIES:
             options["others"] = company.copies[: trial.copies]
         elif name == "transplant":
             options["source"] = source

@@ -8,7 +8,8 @@ import pytest
 from engine.formats import write_model
 from engine.formats.model_reading import read_model
 from engine.lab.evaluate.bench import removal
-from engine.lab.evaluate.bench.removal import measure_removal, shake, smooth, wash
+from engine.lab.evaluate.bench.removal import measure_removal, wash
+from engine.lab.sim.adversaries.laundering import shake, smooth
 from engine.model import GaussianModel
 from engine.watermark.grain import units
 
@@ -52,6 +53,7 @@ def test_the_model_claims_while_there_is_anything_to_look_at(
     monkeypatch.setattr(removal, "WASHES", (5.5,))
     monkeypatch.setattr(removal, "SMOOTH", (8,))
     monkeypatch.setattr(removal, "SHAKES", (1.0,))
+    monkeypatch.setattr(removal, "CHAINS", ())
     rows = measure_removal(path, 1, "fast")
     assert len(rows) == 5
     for row in rows:

@@ -36,7 +36,7 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
     marked, not_marked, undecided = (page(registry, reply(kind), f"job_{kind}") for kind in KINDS)
     assert "<h1>Watermark found</h1>" in marked
     assert "32/32" in marked
-    assert "<h1>Derived from your asset, watermark not detected</h1>" in not_marked
+    assert "<h1>Your unmarked original</h1>" in not_marked
     assert "It acquits nobody" in not_marked
     assert "chance gives about 16" in not_marked
     assert "<h1>Inconclusive</h1>" in undecided

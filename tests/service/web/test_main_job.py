@@ -119,7 +119,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     page.get_by_role("heading", name="Watermark found").wait_for()
 
     # 7. an original that was never marked
-    assert check(page, plant) == "Derived from your asset, watermark not detected"
+    assert check(page, plant) == "Your unmarked original"
     shoot(page, "claim-negative")
 
     # 8. a picture of it

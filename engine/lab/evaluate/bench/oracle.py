@@ -17,9 +17,9 @@ import numpy as np
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.verify.search import Verification, VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.evaluate.bench.removal import rattle, smooth
 from engine.lab.evaluate.marked_scene import mark_scene
 from engine.lab.evaluate.study import Row
+from engine.lab.sim.adversaries.laundering import rattle, smooth
 from engine.model import Float32, GaussianModel, Int64
 from engine.numerics.image_metrics import psnr
 from engine.raster import render

@@ -12,7 +12,6 @@ He knows how cells are made, what both layers move and by how much; not the sign
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from engine.compress.hvq import HvqConfig, group_means, quantize
 from engine.flows.embed.layer_strengths import add_dc
@@ -22,10 +21,12 @@ from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import mark_scene
 from engine.lab.evaluate.study import Row
-from engine.model import Float64, GaussianModel
+from engine.lab.sim.adversaries.laundering import shake, smooth
+from engine.lab.sim.attack import Strength
+from engine.lab.sim.attacks import model_attack
+from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
-from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.unpredictability import guess
 
 WASHES = (2.0, 4.0, 5.5, 8.0, np.inf)
@@ -36,6 +37,17 @@ SMOOTH = (8, 32)
 """Neighbours of which a colour becomes the mean."""
 SHAKES = (0.3, 1.0, 2.0, 4.0)
 """Standard deviation of a centre's move, in the Gaussian's own size along each axis."""
+CHAINS: tuple[tuple[str, tuple[tuple[str, Strength], ...]], ...] = (
+    ("lattice", (("lattice", "all"),)),
+    ("lattice, smoothed over 64", (("lattice", "all"), ("smooth_colors", 64))),
+    ("purified over 8", (("purify_train", 8),)),
+    ("purified over 32", (("purify_train", 32),)),
+    ("purified over 64", (("purify_train", 64),)),
+    ("chaff", (("chaff", 3.0),)),
+    *((f"through .{form}", (("convert", form),)) for form in ("splat", "spz", "sog", "compressed.ply")),
+    *((f"through .{form}, lattice", (("convert", form), ("lattice", "all"))) for form in ("spz", "sog")),
+)
+"""Attacks of the laboratory, chained."""
 PICTURES = 3
 SIDE = 640
 
@@ -51,24 +63,6 @@ def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
     return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)[stage.labels]))
 
 
-def smooth(model: GaussianModel, neighbours: int) -> GaussianModel:
-    """Every colour the mean of its neighbours', itself among them."""
-    near = cKDTree(model.means).query(model.means, k=min(neighbours, len(model)), workers=2)[1]
-    colors = model.sh[near.reshape(len(model), -1), 0]  # (N, neighbours, 3)
-    return model.with_(sh=add_dc(model.sh, colors.mean(axis=1) - model.sh[:, 0]))
-
-
-def rattle(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
-    """Centres and sizes moved at random, `sigma` in each Gaussian's own size."""
-    moves: Float64 = rng.standard_normal((len(model), ATTRIBUTES)) * ([sigma] * 3 + [min(sigma, 1.0) / 2] * 3)
-    return roughen(model, Grain(1.0, 1.0), moves.astype(np.float32))
-
-
-def shake(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
-    """Centres and sizes moved at random, and the order drawn anew."""
-    return rattle(model, sigma, rng).take(rng.permutation(len(model)))
-
-
 def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:
     yield "none", model
     for times in WASHES:
@@ -79,6 +73,11 @@ def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, G
         shaken = shake(model, sigma, np.random.default_rng(seed))
         yield f"shaken by {sigma:g}", shaken
         yield f"shaken by {sigma:g}, smoothed over {SMOOTH[0]}", smooth(shaken, SMOOTH[0])
+    for name, chain in CHAINS:
+        suspect = model
+        for attack, strength in chain:
+            suspect = model_attack(attack).apply(suspect, strength, rng=seed)
+        yield name, suspect
 
 
 def measure_removal(scene: str, seed: int, profile: str) -> list[Row]:

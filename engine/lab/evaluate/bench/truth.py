@@ -6,6 +6,7 @@ Extraction is informed: every suspect is read against the owner's records.
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
 from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.evaluate.study import Row
-from engine.lab.sim.adversaries.collusion import RULES, collude
+from engine.lab.sim.adversaries.collusion import RULES, in_order_of
+from engine.lab.sim.attack import Strength
+from engine.lab.sim.attacks import model_attack
 from engine.raster import render
 from engine.records.header import chip_context
 from engine.watermark.keys import CHIPS, COPY, OwnerKey, signs
@@ -30,6 +33,8 @@ from engine.watermark.statistics import log10_false_claim_bound
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 COLLUDERS = (2, 3, 5, 10)
+FORMS = ("ply", "splat", "spz", "sog", "compressed.ply")  # in which the buyers get their copies
+PUSHES = (5.5, 10.0, 16.0)  # steps, see the attack `push`
 BUYER, INNOCENT = "buyer", "innocent"
 
 
@@ -113,10 +118,16 @@ def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
     copies = mark_copies(scene, named_profile("fast", landmark_views=0), names, bits=BITS, seed=seed)
     bystanders = list(innocent_copies(copies[0].opened, bench_key(seed), innocents))
     rows = []
-    for count in COLLUDERS:
-        for rule in RULES:
+    ways: list[tuple[str, str, Strength]] = [(rule, "collude", rule) for rule in RULES]
+    ways += [("algebra", "algebra", "mean")]
+    ways += [(f"push {steps:g}", "push", steps) for steps in PUSHES]
+    for form, count in product(FORMS, COLLUDERS):
+        convert = model_attack("convert")
+        given = [copy.marked if form == "ply" else convert.apply(copy.marked, form) for copy in copies[:count]]
+        given = [given[0], *(in_order_of(given[0], other) for other in given[1:])]
+        for rule, attack, strength in ways:
             rng = np.random.default_rng((seed, count))
-            suspect = collude(copies[0].marked, rule, rng, others=[copy.marked for copy in copies[1:count]])
+            suspect = model_attack(attack).apply(given[0], strength, rng=rng, others=given[1:])
             records = [*(copy.opened for copy in copies[:count]), *bystanders]
             traced = trace_model(suspect, records, VerifyConfig(route="model"))
             guilty, others = (
@@ -125,6 +136,7 @@ def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
             row: dict[str, Any] = {
                 "scene": copies[0].name,
                 "rule": rule,
+                "format": form,
                 "colluders": count,
                 "named": sum(finding.named for finding in guilty),
                 "z_least": min(finding.z for finding in guilty),

@@ -20,6 +20,7 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.marked_subjects import fast_mark, picture_of
 from engine.lab.evaluate.study import Row
+from engine.lab.sim.adversaries.collusion import NEED_COPIES
 from engine.lab.sim.attack import Label, Strength
 from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
@@ -128,7 +129,7 @@ def sweep(
         row: Row = {"what": "sweep", "scene": scene.name, "attack": attack, "kind": kind, "reading": reading}
         row |= {"strength": strength, "step": step, "trial": number, "key": seed + number}
         rows.append(row)
-        copies = tuple(other.marked for other in scenes if other is not scene) if attack == "collude" else ()
+        copies = tuple(other.marked for other in scenes if other is not scene) if attack in NEED_COPIES else ()
         trial = Trial(attack, ((attack, strength),), "", kind, reading, len(copies))
         hurt = partial(apply_chain, trial=trial, seed=number, company=Company(copies))
         camera, picture = picture_at_key_view(scene, number)
@@ -149,7 +150,7 @@ def sweep(
         row |= _model_cost(scene, suspect, attack, quick)
         for name, (model, kept) in _baselines(path, quick, seed).items():
             # Of a baseline there are no other copies to collude with.
-            scores = None if attack == "collude" else METHODS[name].read_model(hurt(model), kept)
+            scores = None if attack in NEED_COPIES else METHODS[name].read_model(hurt(model), kept)
             right = None if scores is None else np.where(scores >= 0, 1, -1) == scene.opened.message
             row[f"bits_{name}"] = None if right is None else float(right.mean())
         if not row["claimed"] and not looked:

@@ -53,6 +53,8 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 }
 """By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
+NEED_COPIES = ("collude", "algebra", "push")  # attacks that take `others`
+
 FIRST = "first"  # the rule that averages colors and keeps one copy's geometry, whose owner the marks then name loudest
 RULES = (*_VALUE_RULES, *_MIXERS, FIRST)  # names of the rules
 
@@ -73,12 +75,7 @@ def collude(
     """
     if strength not in RULES:
         raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")
-    if not others:
-        raise InputError("collusion needs the models of the other copies: others=[...]")
-    for number, other in enumerate(others, start=2):
-        if other.sh.shape != model.sh.shape:
-            raise InputError(f"copy {number} has colors {other.sh.shape}, the first has {model.sh.shape}")
-    copies = [model, *others]
+    copies = same_shape(model, others)
     names = ("sh",) if strength == FIRST else ("means", "log_scales", "opacity_logits", "sh")
     if strength in _MIXERS:
         source = _MIXERS[strength](model, len(copies), rng)
@@ -86,6 +83,23 @@ def collude(
         return model.with_(**{name: np.stack([getattr(c, name) for c in copies])[source, rows] for name in names})
     rule = _VALUE_RULES["mean" if strength == FIRST else strength]
     return model.with_(**{name: _combined([getattr(copy, name) for copy in copies], rule, rng) for name in names})
+
+
+def same_shape(model: GaussianModel, others: Sequence[GaussianModel]) -> list[GaussianModel]:
+    """The model and the other copies; InputError where no other is given or one differs in shape."""
+    if not others:
+        raise InputError("collusion needs the models of the other copies: others=[...]")
+    for number, other in enumerate(others, start=2):
+        if other.sh.shape != model.sh.shape:
+            raise InputError(f"copy {number} has colors {other.sh.shape}, the first has {model.sh.shape}")
+    return [model, *others]
+
+
+def in_order_of(model: GaussianModel, other: GaussianModel) -> GaussianModel:
+    """Another copy in the order of this one: formats sort by values that differ. The nearest center is the partner."""
+    from scipy.spatial import cKDTree
+
+    return other.take(cKDTree(other.means).query(model.means, workers=2)[1])
 
 
 def _combined(copies: Sequence[Float32], rule: _Rule, rng: np.random.Generator) -> Float32:

@@ -10,6 +10,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.flows.verify.search import VerifyConfig
+from engine.lab.sim.adversaries.collusion import NEED_COPIES
 from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import find_attack, model_attack
 from engine.lab.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
@@ -60,7 +61,7 @@ def test_the_suite_is_sound_data() -> None:
             assert isinstance(strength, str) == isinstance(attack.default, str)
         if trial.reading == "as_code":
             assert any(len(find_attack(name).readings) == 2 for name, _ in trial.chain)
-        assert trial.copies == 0 or trial.chain[0][0] == "collude"
+        assert trial.copies == 0 or trial.chain[0][0] in NEED_COPIES
 
 
 def test_every_step_of_a_chain_is_taken_in_its_reading(model: GaussianModel) -> None:
