@@ -22,8 +22,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.similarity import mirror_model, transform_model
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, fit_suspect
 from engine.registration.deformed import GAIN, register_deformed, unexplained
@@ -31,7 +32,8 @@ from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_classes import by_size
 from engine.registration.merged import TRUSTED, register_merged
 from engine.registration.mixtures import Mixtures
-from engine.registration.similarity_search import MAX_SCALE, MIN_SCALE, Hands, axis_rotations, locate
+from engine.registration.similarity_search import BOTH, MAX_SCALE, MIN_SCALE, Hands, axis_rotations, in_order, locate
+from engine.registration.visibility import drawn
 
 FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
@@ -73,6 +75,7 @@ class Registration:
     # rows, which are the same in both.
     mirrored: bool = False
     mixed: Mixtures | None = None  # where suspect Gaussians are merged ones: all that was found, the matches among it
+    undrawn: int = 0  # Gaussians of the suspect that no viewer draws, left out beforehand: they are matched to none
 
     @property
     def similarity(self) -> Similarity:
@@ -96,33 +99,67 @@ def register(
     *,
     seed: int = 0,
     config: RegistrationConfig = RegistrationConfig(),
+    budget: TimeBudget = UNLIMITED,
 ) -> Registration:
     """Find the reference, or pieces of it, in a suspect model.
 
     The reference is the unmarked one; an index serves many suspects. The same seed, of the samples and triples drawn,
-    gives the same answer. `found` is False if the suspect holds no recognizable piece; that is an answer, not an error.
+    gives the same answer, unless the budget ends a search: then whole steps are left out, and no step gives less.
+    `found` is False if the suspect holds no recognizable piece; that is an answer, not an error.
     """
     index = reference if isinstance(reference, ReferenceIndex) else ReferenceIndex(reference)
+    seen = drawn(suspect)
+    # The reference may have Gaussians that nobody sees, too, and gave as many, in the mean, to any part of it.
+    if seen.all() or seen.mean() >= index.drawn.mean():
+        return _register(index, suspect, seed, config, budget)
+    if len(index.model) == len(suspect) and len(suspect) >= 3:
+        rng = np.random.default_rng(seed)
+        if in_order(index, Hands(suspect), BOTH, rng) is not None:  # it would be lost with the rows
+            return _without(_register(index, suspect, seed, config, budget), ~seen & index.drawn, index)
+    return _spread(_register(index, suspect.take(seen), seed, config, budget), np.flatnonzero(seen), len(suspect))
+
+
+def _without(found: Registration, rows: Bool, index: ReferenceIndex) -> Registration:
+    """The same but for some rows (M,), which are taken for nothing."""
+    matches, quality = np.where(rows, np.int32(-1), found.matches), np.where(rows, np.float32(0.0), found.match_quality)
+    mixed = None if found.mixed is None else replace(found.mixed, quality=np.where(rows, 0.0, found.mixed.quality))
+    share = found.derived_fraction if mixed is not None else _found(index.model, matches)
+    told = {"derived_fraction": share, "undrawn": int(rows.sum())}
+    return replace(found, matches=matches, match_quality=quality, mixed=mixed, **told)
+
+
+def _spread(found: Registration, rows: Int64, m: int) -> Registration:
+    """What was found in some rows of a suspect of m Gaussians, told in the whole suspect's rows."""
+    matches, quality = np.full(m, -1, np.int32), np.zeros(m, np.float32)
+    matches[rows], quality[rows] = found.matches, found.match_quality
+    mixed = found.mixed
+    if mixed is not None:
+        trust = np.zeros(m, np.float32)
+        trust[rows] = mixed.quality
+        mixed = replace(mixed, suspect_rows=rows[mixed.suspect_rows].astype(np.int32), quality=trust)
+    return replace(found, matches=matches, match_quality=quality, mixed=mixed, undrawn=m - len(rows))
+
+
+def _register(
+    index: ReferenceIndex, suspect: GaussianModel, seed: int, config: RegistrationConfig, budget: TimeBudget
+) -> Registration:
     n, m = len(index.model), len(suspect)
     if n < 3 or m < 3:
         return _nothing(m, 1)
     rng = np.random.default_rng(seed)
     hands = Hands(suspect)
-    verdict, tried = locate(index, hands, rng, colorless=config.colorless)
+    verdict, tried = locate(index, hands, rng, colorless=config.colorless, budget=budget)
     either = [(_nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng), verdict)]
     if verdict is not None:
-        others, weighed = _other_hand(index, hands, either[0][0], rng)
+        others, weighed = _other_hand(index, hands, either[0][0], rng, budget)
         either += others
         tried += weighed
     if config.merged:
-        either = [
-            (_unmerge(index, hands, rigid, rng) if (rigid.matches < 0).mean() > LEFT_OVER else rigid, found)
-            for rigid, found in either
-        ]
+        either = [(_unmerge(index, hands, rigid, rng, budget), found) for rigid, found in either]
     # A thing as symmetric as a pot lies in its mirror image, too: which explains more shows when all is explained.
     rigid, verdict = max(either, key=lambda one: float(one[0].mixtures.quality.sum()))
     rigid = replace(rigid, hypotheses_tried=max(tried, *(one.hypotheses_tried for one, _ in either)))
-    return _bend(index, hands, rigid, verdict, rng) if config.deformed else rigid
+    return _bend(index, hands, rigid, verdict, rng, budget) if config.deformed else rigid
 
 
 def _nothing(m: int, tried: int) -> Registration:
@@ -152,15 +189,15 @@ def _answer(
 
 
 def _other_hand(
-    index: ReferenceIndex, hands: Hands, rigid: Registration, rng: np.random.Generator
+    index: ReferenceIndex, hands: Hands, rigid: Registration, rng: np.random.Generator, budget: TimeBudget
 ) -> tuple[list[tuple[Registration, Verdict | None]], int]:
     """The registration with the other hand, if there is one, where this one leaves much over: a small piece left as it
     was hides no mirror. And how many alignments were weighed."""
     left = np.flatnonzero(rigid.matches < 0)
-    if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)):
+    if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)) or not budget.allows("the other hand"):
         return [], 0
     rest = Hands(hands.suspect.take(left))
-    other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False)
+    other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False, budget=budget)
     if other is None or other.order_quality is not None:
         return [], count
     return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)], count
@@ -173,8 +210,12 @@ def _found(reference: GaussianModel, matches: Int32) -> float:
     return float(seen.mean())
 
 
-def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator) -> Registration:
+def _unmerge(
+    index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator, budget: TimeBudget
+) -> Registration:
     """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
+    if (plain.matches < 0).mean() <= LEFT_OVER or not budget.allows("merged Gaussians"):
+        return plain
     starts: list[tuple[bool, Similarity | None]] = [(False, None), (True, None)]
     if plain.found:
         # Where few are matched well, the place may be wrong itself.
@@ -199,7 +240,12 @@ def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.r
 
 
 def _bend(
-    index: ReferenceIndex, hands: Hands, rigid: Registration, verdict: Verdict | None, rng: np.random.Generator
+    index: ReferenceIndex,
+    hands: Hands,
+    rigid: Registration,
+    verdict: Verdict | None,
+    rng: np.random.Generator,
+    budget: TimeBudget,
 ) -> Registration:
     """Step 5: the registration by a field of local maps, where that explains clearly more."""
     reference, suspect = index.model, hands.of(rigid.mirrored)
@@ -208,9 +254,9 @@ def _bend(
     if rigid.mixed is not None:  # what the errors of single matches say holds for these alone
         explained, deviations = np.where(rigid.mixed.explained(), 0, -1).astype(np.int32), index.floor
     todo = unexplained(reference, suspect, explained, rigid.similarity, deviations, index.floor, rng)
-    if not len(todo):
+    if not len(todo) or not budget.allows("deformations"):
         return rigid
-    bent = register_deformed(index, suspect, todo, rng)
+    bent = register_deformed(index, suspect, todo, rng, budget)
     if bent is None or bent.quality.sum() < rigid.mixtures.quality.sum() + GAIN * len(suspect):
         return rigid
     mirrored = rigid.mirrored != bent.mirrored

@@ -20,6 +20,7 @@ from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.numerics.similarity import mirror_model
 from engine.numerics.spherical_harmonics import sh_basis
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import Alignment, align_either_hand, align_near, align_upright, near_motions
@@ -278,6 +279,8 @@ def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation
 RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
 enough, and soon."""
+KEY_VIEWS = "further renders of the pose key"
+"""What the time budget did not allow."""
 REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
@@ -328,7 +331,13 @@ def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Regis
     return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
 
 
-def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock) -> Seen:
+def read_renders(
+    suspect: GaussianModel,
+    opened: OpenedRecord,
+    registration: Registration,
+    clock: Clock,
+    budget: TimeBudget = UNLIMITED,
+) -> Seen:
     """The suspect as a black box: rendered, and read as pictures.
 
     Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
@@ -339,7 +348,7 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     check_drawable(suspect)
     suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
-        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock), opened), (), True)
+        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock, budget), opened), (), True)
     if registration.mirrored:
         suspect = mirror_model(suspect)
     cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
@@ -348,7 +357,7 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     moved, reference = suspect, ReferenceViews(opened)
     place = None
     if not _in_place(suspect, opened, cameras[0]) and opened.landmarks is not None:
-        place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance)
+        place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance, budget)
         if place is None:
             return Seen(_nothing(opened), ("no view of the suspect model was recognised as this asset",), False)
         moved = place.place(suspect)
@@ -358,6 +367,8 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
         for sighting in place.sightings:
             said = _added(said, read_known(sighting.picture, sighting.found, reference)[0])
     for number, camera in enumerate(cameras):
+        if said is not None and not budget.allows(KEY_VIEWS):
+            break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.alike:
@@ -366,10 +377,14 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
 
 
-def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> PictureEvidence | None:
+def _read_placed(
+    moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget
+) -> PictureEvidence | None:
     """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
     said, reference = None, ReferenceViews(opened)
     for number, camera in enumerate(camera.with_side(RENDER_SIZE) for camera in opened.cameras):
+        if said is not None and not budget.allows(KEY_VIEWS):
+            break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         said = _added(said, reference.at(camera).read(picture, np.ones(picture.shape[:2], dtype=bool)))
         clock.advance((number + 1) / len(opened.cameras))
@@ -389,7 +404,11 @@ def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> b
 
 
 def read_pictures(
-    images: Sequence[Float32], opened: OpenedRecord, cameras: Sequence[Camera] | None, clock: Clock
+    images: Sequence[Float32],
+    opened: OpenedRecord,
+    cameras: Sequence[Camera] | None,
+    clock: Clock,
+    budget: TimeBudget = UNLIMITED,
 ) -> tuple[Evidence, Evidence, tuple[str, ...], tuple[Camera | None, ...]]:
     """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, read in the two ways of
     `PictureEvidence`; why one could not be read, or was left out since it contradicts the others; and from where each
@@ -410,6 +429,8 @@ def read_pictures(
     far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, EDGE_VIEWS, *EDGE_SIZE)))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
+        if not budget.allows(f"pictures {number + 1} to {len(images)}"):
+            break
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):

@@ -1,0 +1,22 @@
+"""Which Gaussians of a model are ever drawn: anybody may add any number of others to a suspect, and nobody sees it."""
+
+import math
+
+import numpy as np
+
+from engine.model import Bool, GaussianModel
+from engine.raster.settings import ALPHA_SKIP
+
+__all__ = ["FAINTEST", "SMALLEST", "drawn"]
+
+_ROUNDED = 0.99
+"""One step of 8-bit opacity is ALPHA_SKIP itself and counts as drawn; half floats store it up to 0.2 % off."""
+FAINTEST = math.log(_ROUNDED * ALPHA_SKIP / (1.0 - _ROUNDED * ALPHA_SKIP))
+"""Opacity logit below which no viewer draws a Gaussian: its alpha stays below one gray level at its very center."""
+SMALLEST = math.log(1e-10)
+"""Logarithm of the largest scale, scene units, below which a Gaussian has no size: a scale of zero is read as 1e-13."""
+
+
+def drawn(model: GaussianModel) -> Bool:
+    """(N,) which Gaussians a viewer may draw: those that are neither too faint to be seen nor without a size."""
+    return np.asarray((model.opacity_logits >= FAINTEST) & (model.log_scales.max(axis=1, initial=-np.inf) >= SMALLEST))
