@@ -89,11 +89,7 @@ def _common_share(points: Float32, errors: Float64) -> float:
 
 
 def register_deformed(
-    index: ReferenceIndex,
-    suspect: GaussianModel,
-    todo: Int64,
-    rng: np.random.Generator,
-    budget: TimeBudget = UNLIMITED,
+    index: ReferenceIndex, suspect: GaussianModel, todo: Int64, rng: np.random.Generator, budget: TimeBudget = UNLIMITED
 ) -> Deformed | None:
     """Match a deformed suspect piece by piece, beginning at its Gaussians `todo` (n,), in no order.
 

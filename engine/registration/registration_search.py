@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
@@ -109,48 +109,67 @@ def register(
     """
     index = reference if isinstance(reference, ReferenceIndex) else ReferenceIndex(reference)
     seen = drawn(suspect)
-    # The reference may have Gaussians that nobody sees, too, and gave as many, in the mean, to any part of it.
-    if seen.all() or seen.mean() >= index.drawn.mean():
-        return _register(index, suspect, seed, config, budget)
-    if len(index.model) == len(suspect) and len(suspect) >= 3:
-        rng = np.random.default_rng(seed)
-        if in_order(index, Hands(suspect), BOTH, rng) is not None:  # it would be lost with the rows
-            return _without(_register(index, suspect, seed, config, budget), ~seen & index.drawn, index)
-    return _spread(_register(index, suspect.take(seen), seed, config, budget), np.flatnonzero(seen), len(suspect))
+    if seen.all() or len(index.model) < 3:
+        return _register(index, suspect, seed, config, budget)[0]
+    as_many = len(index.model) == len(suspect) >= 3
+    if as_many and in_order(index, Hands(suspect), BOTH, np.random.default_rng(seed)) is not None:
+        # Without some rows the order would be lost.
+        return _without_undrawn(index, seen, _register(index, suspect, seed, config, budget)[0])
+    found, verdict = _register(index, suspect.take(seen), seed, config, budget)
+    found = replace(found, hypotheses_tried=found.hypotheses_tried + as_many)
+    return _with_undrawn(index, suspect, seen, found, verdict)
 
 
-def _without(found: Registration, rows: Bool, index: ReferenceIndex) -> Registration:
-    """The same but for some rows (M,), which are taken for nothing."""
-    matches, quality = np.where(rows, np.int32(-1), found.matches), np.where(rows, np.float32(0.0), found.match_quality)
-    mixed = None if found.mixed is None else replace(found.mixed, quality=np.where(rows, 0.0, found.mixed.quality))
-    share = found.derived_fraction if mixed is not None else _found(index.model, matches)
-    told = {"derived_fraction": share, "undrawn": int(rows.sum())}
-    return replace(found, matches=matches, match_quality=quality, mixed=mixed, **told)
+def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> Registration:
+    """What was found in all rows of a suspect, but that those which nobody sees (M,) stand for no Gaussian that
+    is drawn."""
+    matches, quality = whole.matches.copy(), whole.match_quality.copy()
+    wrong = ~seen & ((matches < 0) | index.drawn[matches])
+    matches[wrong], quality[wrong] = -1, 0.0
+    mixed = whole.mixed
+    if mixed is not None:
+        mixed = replace(mixed, quality=np.where(wrong, np.float32(0.0), mixed.quality))
+    return replace(whole, matches=matches, match_quality=quality, mixed=mixed, undrawn=int(wrong.sum()))
 
 
-def _spread(found: Registration, rows: Int64, m: int) -> Registration:
-    """What was found in some rows of a suspect of m Gaussians, told in the whole suspect's rows."""
-    matches, quality = np.full(m, -1, np.int32), np.zeros(m, np.float32)
+def _with_undrawn(
+    index: ReferenceIndex, suspect: GaussianModel, seen: Bool, found: Registration, verdict: Verdict | None
+) -> Registration:
+    """What was found in the rows that are drawn, told in all rows of the suspect. Of the others only those count that
+    are Gaussians which nobody sees in the reference, too: an original may have such."""
+    matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
+    rows, others = np.flatnonzero(seen), np.flatnonzero(~seen)
     matches[rows], quality[rows] = found.matches, found.match_quality
+    if verdict is not None and not index.drawn.all():
+        rest = Hands(suspect.take(others)).bare(verdict.mirrored)
+        matcher = verdict.matcher or index.matcher
+        near, trust = matcher.pair(rest, verdict.fit, verdict.deviations)
+        own = (near >= 0) & ~index.drawn[near]
+        matches[others[own]], quality[others[own]] = near[own], trust[own]
+        others = others[~own]
     mixed = found.mixed
     if mixed is not None:
-        trust = np.zeros(m, np.float32)
+        trust = np.zeros(len(suspect), np.float32)
         trust[rows] = mixed.quality
         mixed = replace(mixed, suspect_rows=rows[mixed.suspect_rows].astype(np.int32), quality=trust)
-    return replace(found, matches=matches, match_quality=quality, mixed=mixed, undrawn=m - len(rows))
+    share = found.derived_fraction if mixed is not None else _found(index.model, matches)
+    told = {"derived_fraction": share, "undrawn": len(others)}
+    return replace(found, matches=matches, match_quality=quality, mixed=mixed, **told)
 
 
 def _register(
     index: ReferenceIndex, suspect: GaussianModel, seed: int, config: RegistrationConfig, budget: TimeBudget
-) -> Registration:
+) -> tuple[Registration, Verdict | None]:
+    """The registration, and by what its Gaussians were matched, where each is one of the reference's."""
     n, m = len(index.model), len(suspect)
     if n < 3 or m < 3:
-        return _nothing(m, 1)
+        return _nothing(m, 1), None
     rng = np.random.default_rng(seed)
     hands = Hands(suspect)
     verdict, tried = locate(index, hands, rng, colorless=config.colorless, budget=budget)
-    either = [(_nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng), verdict)]
+    either: list[tuple[Registration, Verdict | None]] = [(_nothing(m, tried), None)]
     if verdict is not None:
+        either = [_answer(index, hands, verdict, tried, rng)]
         others, weighed = _other_hand(index, hands, either[0][0], rng, budget)
         either += others
         tried += weighed
@@ -159,7 +178,8 @@ def _register(
     # A thing as symmetric as a pot lies in its mirror image, too: which explains more shows when all is explained.
     rigid, verdict = max(either, key=lambda one: float(one[0].mixtures.quality.sum()))
     rigid = replace(rigid, hypotheses_tried=max(tried, *(one.hypotheses_tried for one, _ in either)))
-    return _bend(index, hands, rigid, verdict, rng, budget) if config.deformed else rigid
+    answer = _bend(index, hands, rigid, verdict, rng, budget) if config.deformed else rigid
+    return answer, None if answer.deformed or answer.mixed is not None else verdict
 
 
 def _nothing(m: int, tried: int) -> Registration:
@@ -169,23 +189,25 @@ def _nothing(m: int, tried: int) -> Registration:
 
 def _answer(
     index: ReferenceIndex, hands: Hands, verdict: Verdict, tried: int, rng: np.random.Generator
-) -> Registration:
-    """The registration that follows from a verdict: every suspect Gaussian is matched."""
+) -> tuple[Registration, Verdict]:
+    """The registration that follows from a verdict: every suspect Gaussian is matched; and by which matcher."""
     suspect = hands.bare(verdict.mirrored)
     matches, quality = verdict.match(suspect)
     if quality.mean() < EXPLAINED:
         in_order = verdict.order_quality is not None
         sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng, in_order=in_order)
-        again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
+        grown = verdict if sized is None else replace(verdict, matcher=sized)
+        again = (matches, quality) if sized is None else grown.match(suspect)
         if again[1].sum() > quality.sum():
-            matches, quality = again
+            (matches, quality), verdict = again, grown
     rows = np.flatnonzero(matches >= 0)
     fit = verdict.fit
     if verdict.order_quality is None and len(rows) > 3:
         part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
         fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
     share = _found(index.model, matches)
-    return Registration(fit.scale, fit.R, fit.t, matches, quality, share, True, tried, mirrored=verdict.mirrored)
+    told = matches, quality, share, True, tried
+    return Registration(fit.scale, fit.R, fit.t, *told, mirrored=verdict.mirrored), verdict
 
 
 def _other_hand(
@@ -200,7 +222,7 @@ def _other_hand(
     other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False, budget=budget)
     if other is None or other.order_quality is not None:
         return [], count
-    return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)], count
+    return [_answer(index, hands, other, rigid.hypotheses_tried + count, rng)], count
 
 
 def _found(reference: GaussianModel, matches: Int32) -> float:

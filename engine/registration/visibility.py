@@ -7,7 +7,7 @@ import numpy as np
 from engine.model import Bool, GaussianModel
 from engine.raster.settings import ALPHA_SKIP
 
-__all__ = ["FAINTEST", "SMALLEST", "drawn"]
+__all__ = ["FAINTEST", "SMALLEST", "drawn", "only_drawn"]
 
 _ROUNDED = 0.99
 """One step of 8-bit opacity is ALPHA_SKIP itself and counts as drawn; half floats store it up to 0.2 % off."""
@@ -20,3 +20,9 @@ SMALLEST = math.log(1e-10)
 def drawn(model: GaussianModel) -> Bool:
     """(N,) which Gaussians a viewer may draw: those that are neither too faint to be seen nor without a size."""
     return np.asarray((model.opacity_logits >= FAINTEST) & (model.log_scales.max(axis=1, initial=-np.inf) >= SMALLEST))
+
+
+def only_drawn(model: GaussianModel) -> GaussianModel:
+    """The model without what no viewer draws; as it is where that would leave nothing."""
+    seen = drawn(model)
+    return model if seen.all() or not seen.any() else model.take(seen)

@@ -16,7 +16,8 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
-from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
+from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel, Int32
+from engine.numerics.gaussians import surface_mass
 from engine.numerics.resampling import smooth
 from engine.numerics.similarity import mirror_model
 from engine.numerics.spherical_harmonics import sh_basis
@@ -33,6 +34,7 @@ from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, View, draw, prepare_view, render
 from engine.registration.registration_search import Registration
+from engine.registration.visibility import only_drawn
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
@@ -51,6 +53,7 @@ __all__ = [
     "derivation_of_model",
     "derivation_of_pictures",
     "derivation_of_sight",
+    "duplicate_weights",
     "read_found",
     "read_gaussians",
     "read_grain",
@@ -321,13 +324,29 @@ def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC is the same from everywhere
     reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
     width = min(opened.layout.width, colors.shape[1])
-    return compare_colors(reference[:, :width], colors[:, :width], registration.mixtures)
+    mixtures = registration.mixtures
+    mixtures = replace(mixtures, quality=mixtures.quality * duplicate_weights(suspect, registration.matches))
+    return compare_colors(reference[:, :width], colors[:, :width], mixtures)
+
+
+def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
+    """(M,) weight of each Gaussian of the suspect among those that `matches` (M,) take for one of the reference:
+    opacity times surface, in parts of the heaviest. Otherwise near twins that hardly show would outvote what does."""
+    weights = np.ones(len(suspect), np.float32)
+    rows = np.flatnonzero(matches >= 0)
+    rows = rows[np.bincount(matches[rows])[matches[rows]] > 1]
+    if len(rows):
+        mass, target = surface_mass(suspect.take(rows)), matches[rows]
+        heaviest = np.zeros(int(target.max()) + 1)
+        np.maximum.at(heaviest, target, mass)
+        weights[rows] = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
+    return weights
 
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """What the suspect's centres and sizes say: the same for all copies of an asset."""
     seen = mirror_model(suspect) if registration.mirrored else suspect
-    pairs = registration.matches, registration.match_quality
+    pairs = registration.matches, registration.match_quality * duplicate_weights(suspect, registration.matches)
     return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
 
 
@@ -345,6 +364,7 @@ def read_renders(
     camera is refined on its picture, and the views by which the model was recognised are read, too. It is drawn as the
     reference is, whatever its own tag says, which anybody may change. InputError if that would take hours.
     """
+    suspect = only_drawn(suspect)
     check_drawable(suspect)
     suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
