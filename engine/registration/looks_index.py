@@ -10,7 +10,7 @@ from engine.registration.hypotheses import chance_table
 from engine.registration.match_candidates import FeatureIndex
 from engine.registration.matching import Deviations, Matcher, floor_deviations
 from engine.registration.patches import Looks
-from engine.registration.visibility import drawn
+from engine.registration.visibility import HARDLY, drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class ReferenceIndex:
         return extent if extent > 0 else 1.0
 
     @cached_property
-    def drawn(self) -> Bool:
-        """(N,) which Gaussians a viewer may draw."""
-        return drawn(self.model)
+    def plain(self) -> Bool:
+        """(N,) which Gaussians are drawn so plainly that no copy of them goes unseen."""
+        return drawn(self.model, HARDLY)
 
     @cached_property
     def floor(self) -> Deviations:

@@ -122,29 +122,32 @@ def register(
 
 def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> Registration:
     """What was found in all rows of a suspect, but that those which nobody sees (M,) stand for no Gaussian that
-    is drawn."""
+    is plainly drawn."""
     matches, quality = whole.matches.copy(), whole.match_quality.copy()
-    wrong = ~seen & ((matches < 0) | index.drawn[matches])
+    wrong = ~seen & ((matches < 0) | index.plain[matches])
     matches[wrong], quality[wrong] = -1, 0.0
     mixed = whole.mixed
+    held = matches
     if mixed is not None:
         mixed = replace(mixed, quality=np.where(wrong, np.float32(0.0), mixed.quality))
-    return replace(whole, matches=matches, match_quality=quality, mixed=mixed, undrawn=int(wrong.sum()))
+        held = mixed.reference_rows[mixed.explained(TRUSTED)[mixed.suspect_rows]]
+    told = {"derived_fraction": _found(index.model, held), "undrawn": int(wrong.sum())}
+    return replace(whole, matches=matches, match_quality=quality, mixed=mixed, **told)
 
 
 def _with_undrawn(
     index: ReferenceIndex, suspect: GaussianModel, seen: Bool, found: Registration, verdict: Verdict | None
 ) -> Registration:
     """What was found in the rows that are drawn, told in all rows of the suspect. Of the others only those count that
-    are Gaussians which nobody sees in the reference, too: an original may have such."""
+    are Gaussians which are hardly seen in the reference either: an original may have such."""
     matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
     rows, others = np.flatnonzero(seen), np.flatnonzero(~seen)
     matches[rows], quality[rows] = found.matches, found.match_quality
-    if verdict is not None and not index.drawn.all():
+    if verdict is not None and not index.plain.all():
         rest = Hands(suspect.take(others)).bare(verdict.mirrored)
         matcher = verdict.matcher or index.matcher
         near, trust = matcher.pair(rest, verdict.fit, verdict.deviations)
-        own = (near >= 0) & ~index.drawn[near]
+        own = (near >= 0) & ~index.plain[near]
         matches[others[own]], quality[others[own]] = near[own], trust[own]
         others = others[~own]
     mixed = found.mixed

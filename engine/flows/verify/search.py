@@ -42,7 +42,7 @@ from engine.watermark.model_evidence import Evidence
 __all__ = ["Answer", "Reading", "Suspect", "Verification", "count_tries", "readings", "time_budget", "verify"]
 
 
-UNDRAWN = "left out: {:,} Gaussians of the suspect model that no viewer draws (opacity below 1/255, or no size)"
+UNDRAWN = "left out: {} of the suspect model that no viewer draws (opacity below 1/255, or no size)"
 PICTURE_WAYS = 2
 """Pictures are read with every chip saturated, and by their scatter."""
 
@@ -128,6 +128,10 @@ def _ended(budget: TimeBudget) -> str:
     return f"the time budget of {budget.seconds:g} s ended the search; left out: {', '.join(budget.left_out)}"
 
 
+def _counted(gaussians: int) -> str:
+    return f"{gaussians:,} Gaussian{'s' if gaussians > 1 else ''}"
+
+
 def _readings(
     suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock, budget: TimeBudget
 ) -> Iterator[Reading]:
@@ -149,7 +153,7 @@ def _readings(
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed, budget=budget)
         matched = derivation_of_model(opened.reference, suspect.model, registration)
-    left_out = (UNDRAWN.format(registration.undrawn),) if registration.undrawn else ()
+    left_out = (UNDRAWN.format(_counted(registration.undrawn)),) if registration.undrawn else ()
     said: Evidence | None = None
     reading: Reading | None = None
     for route in routes:
