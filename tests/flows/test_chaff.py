@@ -32,8 +32,8 @@ def chaff(model: GaussianModel, opacity: float) -> GaussianModel:
 
 @pytest.mark.parametrize(("opacity", "left"), [(0.003, 0.99), (0.0045, 0.9)])
 def test_twins_that_hardly_show_do_not_drown_the_mark(scene: MarkedScene, opacity: float, left: float) -> None:
-    plain = verify_model(scene.model, scene.opened)
-    got = verify_model(chaff(scene.model, opacity), scene.opened)
+    plain = verify_model(scene.marked, scene.opened)
+    got = verify_model(chaff(scene.marked, opacity), scene.opened)
     assert got.claim.verdict is Verdict.MARKED
     assert got.claim.z > left * plain.claim.z
     told = [note for note in got.claim.notes if "no viewer draws" in note]
@@ -51,8 +51,8 @@ def test_time_that_ran_out_is_told_and_acquits_nobody(scene: MarkedScene) -> Non
 
 
 def test_what_was_read_in_time_still_claims(scene: MarkedScene) -> None:
-    got = verify_model(scene.model, scene.opened, VerifyConfig(time_budget=AT_ONCE)).claim
-    assert got == verify_model(scene.model, scene.opened).claim, "no step was left out"
+    got = verify_model(scene.marked, scene.opened, VerifyConfig(time_budget=AT_ONCE)).claim
+    assert got == verify_model(scene.marked, scene.opened).claim, "no step was left out"
     assert got.verdict is Verdict.MARKED
 
 
