@@ -284,6 +284,9 @@ RENDER_SIZE = 512
 enough, and soon."""
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
+SHOWN_IN_PLACE = (
+    "the suspect model shows the asset where the asset lies, but none of its Gaussians is one of the asset's"
+)
 REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
@@ -376,7 +379,9 @@ def read_renders(
     notes = []
     moved, reference = suspect, ReferenceViews(opened)
     place = None
-    if not _in_place(suspect, opened, cameras[0]) and opened.landmarks is not None:
+    if _in_place(suspect, opened, cameras[0]):
+        notes += [] if registration.found else [SHOWN_IN_PLACE]
+    elif opened.landmarks is not None:
         place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance, budget)
         if place is None:
             return Seen(_nothing(opened), ("no view of the suspect model was recognised as this asset",), False)
