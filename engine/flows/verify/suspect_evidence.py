@@ -284,9 +284,7 @@ RENDER_SIZE = 512
 enough, and soon."""
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
-SHOWN_IN_PLACE = (
-    "the suspect model shows the asset where the asset lies, but none of its Gaussians is one of the asset's"
-)
+SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
 REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
