@@ -282,6 +282,8 @@ def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation
 RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
 enough, and soon."""
+LIKE_MASS = 0.5
+"""Share of the heaviest's mass from which a duplicate counts in full: noise and halves of one Gaussian differ so much."""
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
 SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
@@ -332,7 +334,7 @@ def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
 
 def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
     """(M,) weight of each Gaussian of the suspect among those that `matches` (M,) take for one of the reference:
-    opacity times surface, in parts of the heaviest. Otherwise near twins that hardly show would outvote what does."""
+    opacity times surface, against the heaviest. Otherwise near twins that hardly show would outvote what does."""
     weights = np.ones(len(suspect), np.float32)
     rows = np.flatnonzero(matches >= 0)
     rows = rows[np.bincount(matches[rows])[matches[rows]] > 1]
@@ -340,7 +342,8 @@ def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
         mass, target = surface_mass(suspect.take(rows)), matches[rows]
         heaviest = np.zeros(int(target.max()) + 1)
         np.maximum.at(heaviest, target, mass)
-        weights[rows] = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
+        share = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
+        weights[rows] = np.minimum(share / LIKE_MASS, 1.0)
     return weights
 
 
