@@ -283,7 +283,7 @@ RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
 enough, and soon."""
 LIKE_MASS = 0.5
-"""Share of the heaviest's mass from which a duplicate counts in full: noise and halves of one Gaussian differ so much."""
+"""Share of the heaviest mass from which a duplicate counts in full: noise and halves of one differ so much."""
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
 SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
