@@ -343,7 +343,7 @@ def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
         heaviest = np.zeros(int(target.max()) + 1)
         np.maximum.at(heaviest, target, mass)
         share = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
-        weights[rows] = np.minimum(share / LIKE_MASS, 1.0)
+        weights[rows] = np.where(share >= LIKE_MASS, 1.0, share)
     return weights
 
 
