@@ -131,8 +131,8 @@ def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> 
     if mixed is not None:
         mixed = replace(mixed, quality=np.where(wrong, np.float32(0.0), mixed.quality))
         held = mixed.reference_rows[mixed.explained(TRUSTED)[mixed.suspect_rows]]
-    told = {"derived_fraction": _found(index.model, held), "undrawn": int(wrong.sum())}
-    return replace(whole, matches=matches, match_quality=quality, mixed=mixed, **told)
+    whole = replace(whole, derived_fraction=_found(index.model, held), undrawn=int(wrong.sum()))
+    return replace(whole, matches=matches, match_quality=quality, mixed=mixed)
 
 
 def _with_undrawn(
@@ -156,8 +156,8 @@ def _with_undrawn(
         trust[rows] = mixed.quality
         mixed = replace(mixed, suspect_rows=rows[mixed.suspect_rows].astype(np.int32), quality=trust)
     share = found.derived_fraction if mixed is not None else _found(index.model, matches)
-    told = {"derived_fraction": share, "undrawn": len(others)}
-    return replace(found, matches=matches, match_quality=quality, mixed=mixed, **told)
+    found = replace(found, derived_fraction=share, undrawn=len(others))
+    return replace(found, matches=matches, match_quality=quality, mixed=mixed)
 
 
 def _register(
