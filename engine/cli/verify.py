@@ -89,6 +89,14 @@ def verify(
     decoder: Annotated[
         str, typer.Option("--decoder", metavar="ours|paper", help="How bits are read; the claim is the same.")
     ] = "ours",
+    time_budget: Annotated[
+        float,
+        typer.Option(
+            "--time-budget",
+            metavar="SECONDS",
+            help="After so long (of pictures: for each) no further step of the search begins.",
+        ),
+    ] = 60.0,
     spz_frame: SpzFrame = "auto",
     json: Json = False,
 ) -> int:
@@ -127,7 +135,13 @@ def verify(
 
     located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses a rate that is none, asked for or not
     kept = _Record.of(record, key, attestation or (), read_trust(tsa_certificates, jwks))
-    config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
+    config = VerifyConfig(
+        false_claim_rate=false_claim_rate,
+        suspect_seen=suspect_seen,
+        route=route,
+        decoder=decoder,
+        time_budget=time_budget,
+    )
     request = VerifyRequest(
         suspect=source,
         candidates=(kept,),

@@ -12,6 +12,7 @@ import scipy
 
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.kd_tree import KdTree
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.growth import grow
 from engine.registration.looks_index import ReferenceIndex
@@ -88,7 +89,7 @@ def _common_share(points: Float32, errors: Float64) -> float:
 
 
 def register_deformed(
-    index: ReferenceIndex, suspect: GaussianModel, todo: Int64, rng: np.random.Generator
+    index: ReferenceIndex, suspect: GaussianModel, todo: Int64, rng: np.random.Generator, budget: TimeBudget = UNLIMITED
 ) -> Deformed | None:
     """Match a deformed suspect piece by piece, beginning at its Gaussians `todo` (n,), in no order.
 
@@ -100,8 +101,8 @@ def register_deformed(
     patches: list[Patch] = []
     best: Deformed | None = None
     tried = 0
-    for _ in range(CYCLES):
-        if len(todo) == 0:
+    for cycle in range(CYCLES):
+        if len(todo) == 0 or (cycle and not budget.allows("deformations of further parts")):
             break
         centers = todo[rng.permutation(len(todo))[:PATCHES]]
         found = find_patches(looks, suspect, places, centers, index.floor, rng)

@@ -5,11 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
-from engine.model import Float64, GaussianModel
+from engine.model import Bool, Float64, GaussianModel
 from engine.registration.hypotheses import chance_table
 from engine.registration.match_candidates import FeatureIndex
 from engine.registration.matching import Deviations, Matcher, floor_deviations
 from engine.registration.patches import Looks
+from engine.registration.visibility import HARDLY, drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,11 @@ class ReferenceIndex:
             return 1.0
         extent = float(np.median(np.linalg.norm(sample - np.median(sample, axis=0), axis=1)))
         return extent if extent > 0 else 1.0
+
+    @cached_property
+    def plain(self) -> Bool:
+        """(N,) which Gaussians are drawn so plainly that no copy of them goes unseen."""
+        return drawn(self.model, HARDLY)
 
     @cached_property
     def floor(self) -> Deviations:

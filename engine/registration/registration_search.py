@@ -22,8 +22,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import mirror_model, transform_model
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, fit_suspect
 from engine.registration.deformed import GAIN, register_deformed, unexplained
@@ -31,7 +32,8 @@ from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_classes import by_size
 from engine.registration.merged import TRUSTED, register_merged
 from engine.registration.mixtures import Mixtures
-from engine.registration.similarity_search import MAX_SCALE, MIN_SCALE, Hands, axis_rotations, locate
+from engine.registration.similarity_search import BOTH, MAX_SCALE, MIN_SCALE, Hands, axis_rotations, in_order, locate
+from engine.registration.visibility import drawn
 
 FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
@@ -73,6 +75,7 @@ class Registration:
     # rows, which are the same in both.
     mirrored: bool = False
     mixed: Mixtures | None = None  # where suspect Gaussians are merged ones: all that was found, the matches among it
+    undrawn: int = 0  # Gaussians of the suspect that no viewer draws, left out beforehand: they are matched to none
 
     @property
     def similarity(self) -> Similarity:
@@ -96,33 +99,90 @@ def register(
     *,
     seed: int = 0,
     config: RegistrationConfig = RegistrationConfig(),
+    budget: TimeBudget = UNLIMITED,
 ) -> Registration:
     """Find the reference, or pieces of it, in a suspect model.
 
     The reference is the unmarked one; an index serves many suspects. The same seed, of the samples and triples drawn,
-    gives the same answer. `found` is False if the suspect holds no recognizable piece; that is an answer, not an error.
+    gives the same answer, unless the budget ends a search: then whole steps are left out, and no step gives less.
+    `found` is False if the suspect holds no recognizable piece; that is an answer, not an error.
     """
     index = reference if isinstance(reference, ReferenceIndex) else ReferenceIndex(reference)
+    seen = drawn(suspect)
+    if seen.all() or len(index.model) < 3:
+        return _register(index, suspect, seed, config, budget)[0]
+    as_many = len(index.model) == len(suspect) >= 3
+    if as_many and in_order(index, Hands(suspect), BOTH, np.random.default_rng(seed)) is not None:
+        # Without some rows the order would be lost.
+        return _without_undrawn(index, seen, _register(index, suspect, seed, config, budget)[0])
+    found, verdict = _register(index, suspect.take(seen), seed, config, budget)
+    found = replace(found, hypotheses_tried=found.hypotheses_tried + as_many)
+    return _with_undrawn(index, suspect, seen, found, verdict)
+
+
+def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> Registration:
+    """What was found in all rows of a suspect, but that those which nobody sees (M,) stand for no Gaussian that
+    is plainly drawn."""
+    matches, quality = whole.matches.copy(), whole.match_quality.copy()
+    wrong = ~seen & ((matches < 0) | index.plain[matches])
+    matches[wrong], quality[wrong] = -1, 0.0
+    mixed = whole.mixed
+    held = matches
+    if mixed is not None:
+        mixed = replace(mixed, quality=np.where(wrong, np.float32(0.0), mixed.quality))
+        held = mixed.reference_rows[mixed.explained(TRUSTED)[mixed.suspect_rows]]
+    whole = replace(whole, derived_fraction=_found(index.model, held), undrawn=int(wrong.sum()))
+    return replace(whole, matches=matches, match_quality=quality, mixed=mixed)
+
+
+def _with_undrawn(
+    index: ReferenceIndex, suspect: GaussianModel, seen: Bool, found: Registration, verdict: Verdict | None
+) -> Registration:
+    """What was found in the rows that are drawn, told in all rows of the suspect. Of the others only those count that
+    are Gaussians which are hardly seen in the reference either: an original may have such."""
+    matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
+    rows, others = np.flatnonzero(seen), np.flatnonzero(~seen)
+    matches[rows], quality[rows] = found.matches, found.match_quality
+    if verdict is not None and not index.plain.all():
+        rest = Hands(suspect.take(others)).bare(verdict.mirrored)
+        matcher = verdict.matcher or index.matcher
+        near, trust = matcher.pair(rest, verdict.fit, verdict.deviations)
+        own = (near >= 0) & ~index.plain[near]
+        matches[others[own]], quality[others[own]] = near[own], trust[own]
+        others = others[~own]
+    mixed = found.mixed
+    if mixed is not None:
+        trust = np.zeros(len(suspect), np.float32)
+        trust[rows] = mixed.quality
+        mixed = replace(mixed, suspect_rows=rows[mixed.suspect_rows].astype(np.int32), quality=trust)
+    share = found.derived_fraction if mixed is not None else _found(index.model, matches)
+    found = replace(found, derived_fraction=share, undrawn=len(others))
+    return replace(found, matches=matches, match_quality=quality, mixed=mixed)
+
+
+def _register(
+    index: ReferenceIndex, suspect: GaussianModel, seed: int, config: RegistrationConfig, budget: TimeBudget
+) -> tuple[Registration, Verdict | None]:
+    """The registration, and by what its Gaussians were matched, where each is one of the reference's."""
     n, m = len(index.model), len(suspect)
     if n < 3 or m < 3:
-        return _nothing(m, 1)
+        return _nothing(m, 1), None
     rng = np.random.default_rng(seed)
     hands = Hands(suspect)
-    verdict, tried = locate(index, hands, rng, colorless=config.colorless)
-    either = [(_nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng), verdict)]
+    verdict, tried = locate(index, hands, rng, colorless=config.colorless, budget=budget)
+    either: list[tuple[Registration, Verdict | None]] = [(_nothing(m, tried), None)]
     if verdict is not None:
-        others, weighed = _other_hand(index, hands, either[0][0], rng)
+        either = [_answer(index, hands, verdict, tried, rng)]
+        others, weighed = _other_hand(index, hands, either[0][0], rng, budget)
         either += others
         tried += weighed
     if config.merged:
-        either = [
-            (_unmerge(index, hands, rigid, rng) if (rigid.matches < 0).mean() > LEFT_OVER else rigid, found)
-            for rigid, found in either
-        ]
+        either = [(_unmerge(index, hands, rigid, rng, budget), found) for rigid, found in either]
     # A thing as symmetric as a pot lies in its mirror image, too: which explains more shows when all is explained.
     rigid, verdict = max(either, key=lambda one: float(one[0].mixtures.quality.sum()))
     rigid = replace(rigid, hypotheses_tried=max(tried, *(one.hypotheses_tried for one, _ in either)))
-    return _bend(index, hands, rigid, verdict, rng) if config.deformed else rigid
+    answer = _bend(index, hands, rigid, verdict, rng, budget) if config.deformed else rigid
+    return answer, None if answer.deformed or answer.mixed is not None else verdict
 
 
 def _nothing(m: int, tried: int) -> Registration:
@@ -132,38 +192,40 @@ def _nothing(m: int, tried: int) -> Registration:
 
 def _answer(
     index: ReferenceIndex, hands: Hands, verdict: Verdict, tried: int, rng: np.random.Generator
-) -> Registration:
-    """The registration that follows from a verdict: every suspect Gaussian is matched."""
+) -> tuple[Registration, Verdict]:
+    """The registration that follows from a verdict: every suspect Gaussian is matched; and by which matcher."""
     suspect = hands.bare(verdict.mirrored)
     matches, quality = verdict.match(suspect)
     if quality.mean() < EXPLAINED:
         in_order = verdict.order_quality is not None
         sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng, in_order=in_order)
-        again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
+        grown = verdict if sized is None else replace(verdict, matcher=sized)
+        again = (matches, quality) if sized is None else grown.match(suspect)
         if again[1].sum() > quality.sum():
-            matches, quality = again
+            (matches, quality), verdict = again, grown
     rows = np.flatnonzero(matches >= 0)
     fit = verdict.fit
     if verdict.order_quality is None and len(rows) > 3:
         part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
         fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
     share = _found(index.model, matches)
-    return Registration(fit.scale, fit.R, fit.t, matches, quality, share, True, tried, mirrored=verdict.mirrored)
+    told = matches, quality, share, True, tried
+    return Registration(fit.scale, fit.R, fit.t, *told, mirrored=verdict.mirrored), verdict
 
 
 def _other_hand(
-    index: ReferenceIndex, hands: Hands, rigid: Registration, rng: np.random.Generator
+    index: ReferenceIndex, hands: Hands, rigid: Registration, rng: np.random.Generator, budget: TimeBudget
 ) -> tuple[list[tuple[Registration, Verdict | None]], int]:
     """The registration with the other hand, if there is one, where this one leaves much over: a small piece left as it
     was hides no mirror. And how many alignments were weighed."""
     left = np.flatnonzero(rigid.matches < 0)
-    if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)):
+    if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)) or not budget.allows("the other hand"):
         return [], 0
     rest = Hands(hands.suspect.take(left))
-    other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False)
+    other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False, budget=budget)
     if other is None or other.order_quality is not None:
         return [], count
-    return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)], count
+    return [_answer(index, hands, other, rigid.hypotheses_tried + count, rng)], count
 
 
 def _found(reference: GaussianModel, matches: Int32) -> float:
@@ -173,8 +235,12 @@ def _found(reference: GaussianModel, matches: Int32) -> float:
     return float(seen.mean())
 
 
-def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator) -> Registration:
+def _unmerge(
+    index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator, budget: TimeBudget
+) -> Registration:
     """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
+    if (plain.matches < 0).mean() <= LEFT_OVER or not budget.allows("merged Gaussians"):
+        return plain
     starts: list[tuple[bool, Similarity | None]] = [(False, None), (True, None)]
     if plain.found:
         # Where few are matched well, the place may be wrong itself.
@@ -199,7 +265,12 @@ def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.r
 
 
 def _bend(
-    index: ReferenceIndex, hands: Hands, rigid: Registration, verdict: Verdict | None, rng: np.random.Generator
+    index: ReferenceIndex,
+    hands: Hands,
+    rigid: Registration,
+    verdict: Verdict | None,
+    rng: np.random.Generator,
+    budget: TimeBudget,
 ) -> Registration:
     """Step 5: the registration by a field of local maps, where that explains clearly more."""
     reference, suspect = index.model, hands.of(rigid.mirrored)
@@ -208,9 +279,9 @@ def _bend(
     if rigid.mixed is not None:  # what the errors of single matches say holds for these alone
         explained, deviations = np.where(rigid.mixed.explained(), 0, -1).astype(np.int32), index.floor
     todo = unexplained(reference, suspect, explained, rigid.similarity, deviations, index.floor, rng)
-    if not len(todo):
+    if not len(todo) or not budget.allows("deformations"):
         return rigid
-    bent = register_deformed(index, suspect, todo, rng)
+    bent = register_deformed(index, suspect, todo, rng, budget)
     if bent is None or bent.quality.sum() < rigid.mixtures.quality.sum() + GAIN * len(suspect):
         return rigid
     mirrored = rigid.mirrored != bent.mirrored

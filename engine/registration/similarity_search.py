@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, confirm_similarity, fit_suspect, same_order
 from engine.registration.hypotheses import Hypothesis, propose
@@ -73,6 +74,7 @@ def locate(
     *,
     hands_searched: Sequence[bool] = BOTH,
     colorless: bool = True,
+    budget: TimeBudget = UNLIMITED,
 ) -> tuple[Verdict | None, int]:
     """Where the reference is in a suspect, or in its mirror image: a similarity found right, and how many were weighed.
 
@@ -81,16 +83,24 @@ def locate(
     tried = 0
     if len(index.model) == len(hands.suspect):
         tried += 1
-        mirrored = _nearer_hand(index.model, hands, hands_searched, rng)
-        verdict = same_order(index.model, hands.bare(mirrored), index.floor, rng)
+        verdict = in_order(index, hands, hands_searched, rng)
         if verdict is not None:
-            return replace(verdict, mirrored=mirrored), tried
+            return verdict, tried
     verdict, count = _same_frame(index, hands, hands_searched, rng)
     tried += count
     if verdict is None:
-        verdict, count = _search(index, hands, hands_searched, rng, colorless)
+        verdict, count = _search(index, hands, hands_searched, rng, colorless, budget)
         tried += count
     return verdict, tried
+
+
+def in_order(
+    index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
+) -> Verdict | None:
+    """Step 1: Gaussian i of a suspect of as many, or of its mirror image, is the reference's."""
+    mirrored = _nearer_hand(index.model, hands, hands_searched, rng)
+    verdict = same_order(index.model, hands.bare(mirrored), index.floor, rng)
+    return None if verdict is None else replace(verdict, mirrored=mirrored)
 
 
 def _nearer_hand(
@@ -141,7 +151,12 @@ def _same_frame(
 
 
 def _search(
-    index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator, colorless: bool
+    index: ReferenceIndex,
+    hands: Hands,
+    hands_searched: Sequence[bool],
+    rng: np.random.Generator,
+    colorless: bool,
+    budget: TimeBudget,
 ) -> tuple[Verdict | None, int]:
     """Step 3: candidates, agreement, triples."""
     suspect = hands.suspect
@@ -152,6 +167,8 @@ def _search(
         queries = (10 if deep else 2) * CANDIDATES
         if deep and len(suspect) <= queries // 5:
             continue  # the shallow search had them all
+        if not budget.allows("similarities"):
+            break
         looks = index.features(degree, colors=colors)
         pairs = looks.candidates(suspect, CANDIDATES, rng, queries=queries, deep=deep)
         votes = np.exp(pairs.size)

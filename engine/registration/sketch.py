@@ -29,6 +29,7 @@ from engine.registration.coarse import FEATURES, Coarse, Crowd, agreement, descr
 from engine.registration.match_candidates import by_region, invariant_features, log_sizes
 from engine.registration.match_kernels import Pairs, degrees_of_agreement
 from engine.registration.similarity_search import LOOSE, turns
+from engine.registration.visibility import only_drawn
 
 __all__ = ["ALIKE", "LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
 
@@ -127,10 +128,10 @@ def make_sketch(model: GaussianModel) -> Sketch:
 
 
 class SuspectIndex:
-    """A suspect laid out for comparing it with many sketches."""
+    """A suspect laid out for comparing it with many sketches, without what no viewer draws."""
 
     def __init__(self, model: GaussianModel) -> None:
-        self.model = model
+        self.model = model = only_drawn(model)
         looks = invariant_features(model, slice(None), 0).astype(np.float32) / LOOK_ERRORS
         self._rows = _uncrowded(looks)
         self._grid = WhitenedGrid(

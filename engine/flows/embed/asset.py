@@ -26,7 +26,7 @@ from engine.flows.views.camera_rig import Extent
 from engine.model import Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.header import Arrays
-from engine.records.record import Record, this_version
+from engine.records.record import Record
 from engine.watermark.keys import OwnerKey
 from engine.watermark.lattice import FREE, Lattices, find_lattices
 from engine.watermark.masses import find_masses
@@ -35,16 +35,12 @@ from engine.watermark.planning import Plan, make_plan
 from engine.watermark.secret_cells import COPIES, OWNER, cells_key, jitter, join_cells, multiples
 from engine.watermark.unpredictability import unexplained
 
-__all__ = ["BANK", "Asset", "bank_of", "known_landmarks"]
+__all__ = ["Asset", "bank_of", "known_landmarks"]
 
 WIDER = 8
 """By how much cells of the next width are wider."""
 LEAST_CELLS = 16
 """Fewest of one width."""
-
-BANK = 2
-"""How a bank is made, as records tell it beside the settings: one more whenever the same settings give another. Records
-from before it was counted lack it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +149,7 @@ def bank_of(
 
 
 def known_landmarks(earlier: Record, digest: bytes, config: EmbedConfig) -> Landmarks | None:
-    """The bank of an earlier copy's record, where a copy of this reference and these settings would get the same: made
-    of the same reference, from as many views, by this version and in this way, which may change before a release."""
-    header, told = earlier.header, dict(earlier.extra.get("settings", {}))
-    theirs = header.reference_digest, header.tool_version, told.get("landmark_views"), told.get("bank")
-    same = theirs == (digest.hex(), this_version(), config.landmark_views, BANK)
-    return landmarks_in(earlier.plan_arrays) if same else None
+    """The bank of an earlier copy's record of this reference, made from as many views: copies share it, whatever
+    version of the program made it, since the chips that they share follow from it, too."""
+    same = earlier.header.reference_digest, dict(earlier.extra.get("settings", {})).get("landmark_views")
+    return landmarks_in(earlier.plan_arrays) if same == (digest.hex(), config.landmark_views) else None

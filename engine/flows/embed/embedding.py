@@ -18,7 +18,7 @@ import numpy as np
 from engine.catalogue.entry import SeenPoints
 from engine.errors import InputError
 from engine.extras import load_extra
-from engine.flows.embed.asset import BANK, Asset, bank_of, known_landmarks
+from engine.flows.embed.asset import Asset, bank_of, known_landmarks
 from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import make_mark
 from engine.flows.embed.delivery import Pruned, deliver
@@ -213,7 +213,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
             asset.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
-            extra={"settings": {**settings.told(), "bank": BANK}},
+            extra={"settings": settings.told()},
             copy=copy,
             registered_at=terms.registered_at,
         )

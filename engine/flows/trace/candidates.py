@@ -188,7 +188,7 @@ class _Asked:
         place = asset_of(opened)
         if place not in placed:
             routes = self._suspect.routes(self._config.route)
-            read = Copies(self._suspect, opened, routes, self._config.seed, self._clock)
+            read = Copies(self._suspect, opened, routes, self._config, self._clock)
             placed[place] = read, Answer(self._config)
         read, answer = placed[place]
         read.go_along(route)

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.search import Reading, Suspect, readings
+from engine.flows.verify.decision import VerifyConfig
+from engine.flows.verify.search import Reading, Suspect, readings, time_budget
 from engine.flows.verify.suspect_evidence import compare_tint, read_grain, read_tint
 from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
@@ -32,10 +33,12 @@ def asset_of(opened: OpenedRecord) -> tuple[str, bool, bytes]:
 class Copies:
     """One asset's place in the suspect, found once for all of its copies, along one route after the other."""
 
-    def __init__(self, suspect: Suspect, first: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock) -> None:
+    def __init__(
+        self, suspect: Suspect, first: OpenedRecord, routes: Sequence[str], config: VerifyConfig, clock: Clock
+    ) -> None:
         self.read_as = first.header.record_id
         self._suspect = suspect
-        self._readings = enumerate(readings(suspect, first, routes, seed, clock))
+        self._readings = enumerate(readings(suspect, first, routes, config.seed, clock, time_budget(suspect, config)))
         self._route = -1
         self._tint = first.layout.chips  # of the copy that it is read as
         self._compared: dict[int, Residual] = {}  # colours, by the width of the carriers

@@ -122,7 +122,7 @@ def trace(
             record_id = opened.header.record_id
             place = asset_of(opened)
             if place not in assets:
-                assets[place], copies[place] = Copies(suspect, opened, routes, config.seed, clock), []
+                assets[place], copies[place] = Copies(suspect, opened, routes, config, clock), []
                 firsts[place] = opened
             if number == 0:
                 if record_id in found:

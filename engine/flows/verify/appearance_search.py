@@ -21,6 +21,7 @@ import scipy
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.pictures.camera.camera_search import CameraConfig, find_camera
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -88,6 +89,7 @@ def place_by_looking(
     reference: GaussianModel,
     landmarks: Landmarks,
     advance: Callable[[float], None] | None = None,
+    budget: TimeBudget = UNLIMITED,
 ) -> Place | None:
     """Find the similarity between two models from what they look like.
 
@@ -101,12 +103,16 @@ def place_by_looking(
         Of the reference, from its record.
     advance : callable, optional
         Told the fraction done, 0 to 1, after every view.
+    budget : TimeBudget, optional
+        Ends the search between two views.
     """
     seen: list[Sighting] = []
     agreeing: list[Sighting] = []
     turns = _turns()
     total, count = VIEWS * len(turns), 0
     for camera in _views(suspect, turns):
+        if not budget.allows("further views to place the model by"):
+            break
         count += 1
         sighting = _look(suspect, camera, reference, landmarks)
         if advance is not None:

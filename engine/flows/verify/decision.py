@@ -8,7 +8,7 @@ from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.model import Camera
 from engine.registration.registration_search import Registration
-from engine.watermark.claim import LINEAR, SCATTERED, Circumstances, Claim, ClaimConfig, Transform, decide
+from engine.watermark.claim import LINEAR, SCATTERED, Circumstances, Claim, ClaimConfig, Transform, Verdict, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
@@ -19,6 +19,8 @@ from engine.watermark.rates import AppliedRate, Attested, applicable_rate
 from engine.watermark.spreading import Spreading
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
 
+OUT_OF_TIME = "the time budget ended the search: with a larger one the suspect is read in full"
+"""What is missing where the part that was read would say that there is no mark."""
 ROUTES = ("auto", "model", "render", "image")
 
 
@@ -33,6 +35,9 @@ class VerifyConfig:
     route: str = "auto"  # "auto", "model", "render" or "image"
     decoder: str = "ours"  # "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours
     seed: int = 0  # of the registration's trials
+    # Wall-clock seconds of one record's search in a model, or, of pictures, for each of them: what would begin later is
+    # left out, and told; nothing else depends on the time. Infinity: no limit. Two cores need 15 s in hard cases.
+    time_budget: float = 60.0
     # Hypotheses (records times routes) of the whole question, where this verification is one part of it: fixed before
     # any evidence is seen, and counted in every claim. Default: those of this one record, as they come.
     tries: int | None = None
@@ -44,6 +49,8 @@ class VerifyConfig:
             raise InputError(f"decoder must be 'ours' or 'paper', got {self.decoder!r}")
         if not 0.0 < self.false_claim_rate < 1.0:
             raise InputError(f"false-claim rate must lie in (0, 1), got {self.false_claim_rate}")
+        if not self.time_budget > 0.0:
+            raise InputError(f"time budget must be positive, got {self.time_budget} s")
         if self.tries is not None and self.tries < 1:
             raise InputError(f"at least one hypothesis is tried, got tries {self.tries}")
         self.rate_for(None)  # refuses a date that is none
@@ -67,6 +74,7 @@ class Reading:
     scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
     cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
     copied: Evidence | None = None  # of the copy layer, where the record has one
+    left_out: tuple[str, ...] = ()  # steps that the time budget did not allow: there may be more to read
 
     @property
     def derived_fraction(self) -> float | None:
@@ -112,6 +120,8 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         copy_z=copy_z(reading, opened),
     )
     claim = decide(asked, spreading, opened.message, circumstances, rate)
+    if reading.left_out and claim.verdict is Verdict.NOT_MARKED:  # what was not read may hold it
+        claim = replace(claim, verdict=Verdict.INCONCLUSIVE, missing=OUT_OF_TIME)
     return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim
 
 

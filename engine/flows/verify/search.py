@@ -9,6 +9,8 @@ as a black box), `image` (pictures whose camera is known, or found). One decoder
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
 4. What a route says is added to what those before it said, never chosen over it.
 5. Every reading is judged with all tries counted; the answer that tells most stands first.
+6. The time is limited (`VerifyConfig.time_budget`): it decides whether a whole further step is taken, never what a step
+   gives. What was read by then is judged, is never "not marked", and names the budget.
 
 Verification asks one record (`verify`), tracing all copies of an asset (`copies`), the service all that is registered
 (`trace.candidates`), the simulator every object of a file (`count_tries`).
@@ -34,6 +36,7 @@ from engine.flows.verify.suspect_evidence import (
 )
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.registration.registration_search import register
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.layers import LAYERS
@@ -47,6 +50,7 @@ __all__ = [
     "VerifyConfig",
     "count_tries",
     "readings",
+    "time_budget",
     "verify",
     "verify_images",
     "verify_model",
@@ -56,6 +60,8 @@ __all__ = [
 WAYS = {"image": 2, "model": 2}
 """In how many ways each route is read, where in more than one: pictures with every chip saturated, and by their
 scatter; Gaussians with every chip saturated, and in proportion to what each says."""
+
+UNDRAWN = "left out: {} of the suspect model that no viewer draws (opacity below 1/255, or no size)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +111,46 @@ def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, place
     return max(records * ways * len(LAYERS) * places, config.tries or 1)
 
 
+def time_budget(suspect: Suspect, config: VerifyConfig) -> TimeBudget:
+    """The time for one record, from now on: of pictures, each adds as much."""
+    return TimeBudget(config.time_budget * max(1, len(suspect.pictures)))
+
+
 def readings(
-    suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock
+    suspect: Suspect,
+    opened: OpenedRecord,
+    routes: Sequence[str],
+    seed: int,
+    clock: Clock,
+    budget: TimeBudget = UNLIMITED,
 ) -> Iterator[Reading]:
     """Read a suspect against one reference, a route at a time; who has heard enough stops asking.
 
-    The routes are those of `Suspect.routes`, the seed that of the registration's trials.
+    The routes are those of `Suspect.routes`, the seed that of the registration's trials. A route that the budget does
+    not allow repeats what was read before. Between readings its time stands still.
     """
+    for reading in _readings(suspect, opened, routes, seed, clock, budget):
+        if budget.left_out:
+            reading = replace(reading, notes=(*reading.notes, _ended(budget)), left_out=budget.left_out)
+        budget.rest()
+        yield reading
+        budget.go_on()
+
+
+def _ended(budget: TimeBudget) -> str:
+    return f"the time budget of {budget.seconds:g} s ended the search; left out: {', '.join(budget.left_out)}"
+
+
+def _counted(gaussians: int) -> str:
+    return f"{gaussians:,} Gaussian{'s' if gaussians > 1 else ''}"
+
+
+def _readings(
+    suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock, budget: TimeBudget
+) -> Iterator[Reading]:
     if suspect.model is None:
-        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
-        # Each picture in which the asset was not found left one note that begins so.
-        seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
+        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, suspect.cameras, clock, budget)
+        seen = sum(camera is not None for camera in cameras)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading(
             "image",
@@ -130,23 +165,29 @@ def readings(
         )
         return
     with clock.stage("register"):
-        registration = register(opened.reference, suspect.model, seed=seed)
+        registration = register(opened.reference, suspect.model, seed=seed, budget=budget)
         matched = derivation_of_model(opened.reference, suspect.model, registration)
+    left_out = (UNDRAWN.format(_counted(registration.undrawn)),) if registration.undrawn else ()
     said: Evidence | None = None
     copied: Evidence | None = None
+    reading: Reading | None = None
     for route in routes:
+        if reading is not None and not budget.allows("renders"):
+            yield reading
+            continue
         with clock.stage(route):
             if route == "model":
                 evidence, copied = read_layers(suspect.model, opened, registration)
                 said = evidence if evidence.weights.any() else None
-                reading = Reading(route, evidence, registration, (), registration.found, matched, copied=copied)
+                found = registration.found
+                reading = Reading(route, evidence, registration, left_out, found, matched, copied=copied)
             else:
-                renders = read_renders(suspect.model, opened, registration, clock)
+                renders = read_renders(suspect.model, opened, registration, clock, budget)
                 both = said is not None and bool(renders.evidence.weights.any())
                 evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
                 sight = derivation_of_sight(matched, renders.recognised)
                 asked = "both" if both else route
-                said_all = evidence, registration, renders.notes, renders.shown, sight
+                said_all = evidence, registration, (*left_out, *renders.notes), renders.shown, sight
                 shown = copy_of_pictures(opened, renders.evidence)
                 copied = copied.plus(shown) if both and copied is not None and shown is not None else shown
                 reading = Reading(asked, *said_all, renders.evidence, copied=copied)
@@ -165,7 +206,7 @@ def verify(
     clock = Clock(progress)
     routes = suspect.routes(config.route)
     answer = Answer(replace(config, tries=count_tries(1, routes, config)))
-    for reading in readings(suspect, opened, routes, config.seed, clock):
+    for reading in readings(suspect, opened, routes, config.seed, clock, time_budget(suspect, config)):
         with clock.stage("decide"):
             answer.hear(opened, reading)
         if answer.settled:

@@ -17,10 +17,12 @@ from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.verify.copy_evidence import copy_of_gaussians
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
-from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
+from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel, Int32
+from engine.numerics.gaussians import surface_mass
 from engine.numerics.resampling import smooth
 from engine.numerics.similarity import mirror_model
 from engine.numerics.spherical_harmonics import sh_basis
+from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import Alignment, align_either_hand, align_near, align_upright, near_motions
@@ -33,6 +35,7 @@ from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, View, draw, prepare_view, render
 from engine.registration.registration_search import Registration
+from engine.registration.visibility import only_drawn
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
@@ -51,6 +54,7 @@ __all__ = [
     "derivation_of_model",
     "derivation_of_pictures",
     "derivation_of_sight",
+    "duplicate_weights",
     "read_found",
     "read_gaussians",
     "read_grain",
@@ -280,6 +284,11 @@ def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation
 RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
 enough, and soon."""
+LIKE_MASS = 0.5
+"""Share of the heaviest mass from which a duplicate counts in full: noise and halves of one differ so much."""
+KEY_VIEWS = "further renders of the pose key"
+"""What the time budget did not allow."""
+SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
 REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
@@ -329,17 +338,40 @@ def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC is the same from everywhere
     reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
     width = min(opened.layout.width, colors.shape[1])
-    return compare_colors(reference[:, :width], colors[:, :width], registration.mixtures)
+    mixtures = registration.mixtures
+    mixtures = replace(mixtures, quality=mixtures.quality * duplicate_weights(suspect, registration.matches))
+    return compare_colors(reference[:, :width], colors[:, :width], mixtures)
+
+
+def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
+    """(M,) weight of each Gaussian of the suspect among those that `matches` (M,) take for one of the reference:
+    opacity times surface, against the heaviest. Otherwise near twins that hardly show would outvote what does."""
+    weights = np.ones(len(suspect), np.float32)
+    rows = np.flatnonzero(matches >= 0)
+    rows = rows[np.bincount(matches[rows])[matches[rows]] > 1]
+    if len(rows):
+        mass, target = surface_mass(suspect.take(rows)), matches[rows]
+        heaviest = np.zeros(int(target.max()) + 1)
+        np.maximum.at(heaviest, target, mass)
+        share = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
+        weights[rows] = np.where(share >= LIKE_MASS, 1.0, share)
+    return weights
 
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """What the suspect's centres and sizes say: the same for all copies of an asset."""
     seen = mirror_model(suspect) if registration.mirrored else suspect
-    pairs = registration.matches, registration.match_quality
+    pairs = registration.matches, registration.match_quality * duplicate_weights(suspect, registration.matches)
     return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
 
 
-def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock) -> Seen:
+def read_renders(
+    suspect: GaussianModel,
+    opened: OpenedRecord,
+    registration: Registration,
+    clock: Clock,
+    budget: TimeBudget = UNLIMITED,
+) -> Seen:
     """The suspect as a black box: rendered, and read as pictures.
 
     Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
@@ -347,10 +379,11 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     camera is refined on its picture, and the views by which the model was recognised are read, too. It is drawn as the
     reference is, whatever its own tag says, which anybody may change. InputError if that would take hours.
     """
+    suspect = only_drawn(suspect)
     check_drawable(suspect)
     suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
-        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock), opened), (), True)
+        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock, budget), opened), (), True)
     if registration.mirrored:
         suspect = mirror_model(suspect)
     cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
@@ -358,8 +391,10 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     notes = []
     moved, reference = suspect, ReferenceViews(opened)
     place = None
-    if not _in_place(suspect, opened, cameras[0]) and opened.landmarks is not None:
-        place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance)
+    if _in_place(suspect, opened, cameras[0]):
+        notes += [] if registration.found else [SHOWN_IN_PLACE]
+    elif opened.landmarks is not None:
+        place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance, budget)
         if place is None:
             return Seen(_nothing(opened), ("no view of the suspect model was recognised as this asset",), False)
         moved = place.place(suspect)
@@ -369,6 +404,8 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
         for sighting in place.sightings:
             said = _added(said, read_known(sighting.picture, sighting.found, reference)[0])
     for number, camera in enumerate(cameras):
+        if said is not None and not budget.allows(KEY_VIEWS):
+            break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.alike:
@@ -377,10 +414,14 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
 
 
-def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> PictureEvidence | None:
+def _read_placed(
+    moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget
+) -> PictureEvidence | None:
     """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
     said, reference = None, ReferenceViews(opened)
     for number, camera in enumerate(camera.with_side(RENDER_SIZE) for camera in opened.cameras):
+        if said is not None and not budget.allows(KEY_VIEWS):
+            break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         said = _added(said, reference.at(camera).read(picture, np.ones(picture.shape[:2], dtype=bool)))
         clock.advance((number + 1) / len(opened.cameras))
@@ -400,7 +441,11 @@ def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> b
 
 
 def read_pictures(
-    images: Sequence[Float32], opened: OpenedRecord, cameras: Sequence[Camera] | None, clock: Clock
+    images: Sequence[Float32],
+    opened: OpenedRecord,
+    cameras: Sequence[Camera] | None,
+    clock: Clock,
+    budget: TimeBudget = UNLIMITED,
 ) -> tuple[Evidence, Evidence, tuple[str, ...], tuple[Camera | None, ...]]:
     """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, read in the two ways of
     `PictureEvidence`; why one could not be read, or was left out since it contradicts the others; and from where each
@@ -421,6 +466,8 @@ def read_pictures(
     far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, EDGE_VIEWS, *EDGE_SIZE)))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
+        if not budget.allows(f"pictures {number + 1} to {len(images)}"):
+            break
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
