@@ -12,7 +12,7 @@ from typing import Any
 from engine.present.numerals import Form, percent, surely, when
 from engine.watermark.claim import SCATTERED
 from engine.watermark.rates import BASES
-from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
+from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 
 HEADLINES = {"marked": "Watermark found", "not_marked": "Your unmarked original", "inconclusive": "Inconclusive"}
 
@@ -93,7 +93,7 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
     if claim["verdict"] == "inconclusive":
         it = suspect or f"the {kind}"
         if claim["would_be_claim_if_attested"]:
-            return f"{_WOULD}." + (f" {derived}." if claim["derivation"]["derived"] else "")
+            return f"{_would(claim, form)}." + (f" {derived}." if claim["derivation"]["derived"] else "")
         if claim["derivation"]["derived"]:
             return f"{derived}. The evidence is not sufficient to say whether it carries this copy's watermark."
         return f"{_nothing_of(claim)} was recognized in {it}."
@@ -122,7 +122,11 @@ def _nothing_of(claim: Mapping[str, Any]) -> str:
 
 _COMPUTED = "It was either never marked, or computed from marked copies"
 
-_WOULD = "This would be a claim if a third party attested that the registration is older than the suspect"
+
+def _would(claim: Mapping[str, Any], form: Form) -> str:
+    """Under what condition it would be a claim, and at which rate."""
+    (condition,) = claim.get("conditions") or ["a third party attested that the registration is older than the suspect"]
+    return f"This would be a claim at {form.rate(CHANCE_RATE)} if {condition}"
 
 
 def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
@@ -247,7 +251,9 @@ def _says(claim: Mapping[str, Any], form: Form) -> str:
         )
     if claim["verdict"] == "inconclusive":
         if claim["would_be_claim_if_attested"]:
-            return f"{_WOULD}. One unrelated key hardly scores this high, but the best of very many keys may."
+            return (
+                f"{_would(claim, form)}. One unrelated key hardly scores this high, but the best of very many keys may."
+            )
         if claim["derivation"]["derived"]:
             return "The suspect is derived from your asset. Whether it carries the watermark remains open."
         return (

@@ -61,6 +61,7 @@ class ClaimConfig:
     rate_basis: str = "attested"  # why this rate applies, a key of `rates.BASES`
     # The rate that would apply if the registration were attested and older than the suspect; None where it cannot be
     rate_if_attested: float | None = None
+    condition: str = ""  # under which that rate would apply
     power: float = 0.999  # least proven power of the answer `not_marked`; in (0, 1)
     # Share of the mark's amplitude assumed left when power is computed, in (0, 1]: `not_marked` says that even a mark
     # worn down to this share would have been seen
@@ -76,7 +77,7 @@ class ClaimConfig:
     @classmethod
     def at(cls, rate: AppliedRate) -> ClaimConfig:
         """The usual demands, at the rate that applies."""
-        return cls(false_claim_rate=rate.rate, rate_basis=rate.basis, rate_if_attested=rate.if_attested)
+        return cls(rate.rate, rate.basis, rate.if_attested, rate.condition)
 
     def __post_init__(self) -> None:
         for name in ("false_claim_rate", "power", "doubt_rate"):
@@ -147,6 +148,8 @@ class Claim:
     # Whether it is this copy, or made from it, at CHANCE_RATE: which recipient it was is asked of an asset that is the
     # owner's already. None where `copy_z` is
     copy_named: bool | None = None
+    # Under which the answer would be a claim, where `would_be_claim_if_attested`
+    conditions: tuple[str, ...] = ()
 
     @property
     def derived_fraction(self) -> float | None:
@@ -157,6 +160,7 @@ class Claim:
         """Plain dict of JSON values."""
         plain = asdict(self) | {"derived": self.derivation.derived, "derived_fraction": self.derived_fraction}
         plain.update(verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes))
+        plain.update(conditions=list(self.conditions))
         return plain
 
 
@@ -247,6 +251,7 @@ def decide(
     matches = int((bits == message).sum())
 
     attested_rate = config.rate_if_attested or config.false_claim_rate
+    would = verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries)
     return Claim(
         verdict=verdict,
         confidence=-math.expm1(log10_bound * math.log(10)),
@@ -257,7 +262,8 @@ def decide(
         z_threshold=threshold,
         false_claim_rate=config.false_claim_rate,
         rate_basis=config.rate_basis,
-        would_be_claim_if_attested=verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries),
+        would_be_claim_if_attested=would,
+        conditions=(config.condition,) if would and config.condition else (),
         meets_dishonest_claimant_rate=log10_bound <= math.log10(DISHONEST_CLAIMANT_RATE),
         tries=tries,
         power=strength,

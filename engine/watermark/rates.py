@@ -1,8 +1,9 @@
 """Which false-claim rate a claim must meet: not the claimant's choice (DESIGN 4.9).
 
 A record made after its owner saw the suspect can be the best of very many tried: 10^10 plans reach a bound of 10^-9 by
-chance. So 10^-9 is enough only where a third party attests that the record is older than the suspect, or contributed
-randomness to its chips, so that records could not be tried out. Else the bound must be below 2^-128.
+chance. So 10^-9 is enough only where a third party that attests the record contributed randomness to its chips, so that
+records could not be tried out. Else the bound must be below 2^-128. That the suspect did not exist before the record is
+what nobody can attest: a date since when it is known is the owner's word, and makes a condition, never a rate.
 """
 
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ BASES = {
     "drawn": "the registration is attested, and the attesting service contributed randomness to the watermark",
     "self_declared": "the registration date is self-declared",
     "undated": "the registration is attested, but the date since when the suspect is known is missing",
+    "dated": "the registration is attested; that the suspect is younger is the owner's own statement",
     "younger": "the suspect was known before the attested registration",
 }
 """Why a rate applies."""
@@ -57,6 +59,7 @@ class AppliedRate:
     # The rate that would do if the registration were attested and older than the suspect; None where the suspect is
     # known to be older
     if_attested: float | None
+    condition: str = ""  # under which a bound between the two rates would be a claim
 
 
 def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str = "") -> AppliedRate:
@@ -72,7 +75,12 @@ def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str =
     """
     usual = min(asked, CHANCE_RATE)
     basis = _basis(attested, suspect_seen)
-    return AppliedRate(min(asked, DEMANDS[basis]), basis, None if basis == "younger" else usual)
+    if basis == "younger":
+        return AppliedRate(min(asked, DEMANDS[basis]), basis, None)
+    condition = "a third party attested that the registration is older than the suspect"
+    if basis == "dated":
+        condition = f"the suspect did not exist before {suspect_seen}, which is the owner's word"
+    return AppliedRate(min(asked, DEMANDS[basis]), basis, usual, condition)
 
 
 def _basis(attested: Attested | None, suspect_seen: str) -> str:
@@ -83,7 +91,7 @@ def _basis(attested: Attested | None, suspect_seen: str) -> str:
         return "younger"
     if attested.drawn:
         return "drawn"
-    return "attested" if seen is not None else "undated"
+    return "dated" if seen is not None else "undated"
 
 
 def _seen(text: str) -> datetime:

@@ -131,7 +131,18 @@ def build_document(
 
 
 _BOUND = ("verdict", "confidence", "log10_false_claim", "meets_dishonest_claimant_rate", "would_be_claim_if_attested")
-_SAME = (*_BOUND, "layers", "copy_z", "copy_named", "derived_fraction", "derivation", "transform", "missing", "notes")
+_SAME = (
+    *_BOUND,
+    "conditions",
+    "layers",
+    "copy_z",
+    "copy_named",
+    "derived_fraction",
+    "derivation",
+    "transform",
+    "missing",
+    "notes",
+)
 _MESSAGE = {
     "hex": "message",
     "bits": "bits",
@@ -150,6 +161,7 @@ _NOTHING: Document = {
     "log10_false_claim": 0.0,
     "meets_dishonest_claimant_rate": False,
     "would_be_claim_if_attested": False,
+    "conditions": [],
     "layers": None,
     "copy_z": None,
     "copy_named": None,

@@ -228,6 +228,9 @@ class ClaimDocument(_Part):
     would_be_claim_if_attested: bool = Field(
         False, description="The bound would do if the registration were attested and older than the suspect."
     )
+    conditions: list[str] = Field(
+        [], description="Under which it would then be a claim; the owner's word decides none."
+    )
     tries: int = Field(ge=0, description="Hypotheses tried: records times routes.")
     threshold: Threshold | None
     message: Message | None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
+from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 from tests.end_to_end.conftest import Marked
 from tests.records.test_timestamps import Authority
 
@@ -28,7 +28,7 @@ def test_without_an_attested_date_the_strict_rate_applies(marked: Marked, capsys
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the time stamps")
-def test_a_stamped_record_claims_at_the_usual_rate(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
+def test_no_date_of_the_owners_own_changes_the_rate(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
     authority, record, query = Authority(tmp_path), tmp_path / "stamped.record", tmp_path / "query.tsq"
     shutil.copy(marked.record, record)
     code, report = marked.ask(capsys, "attest", record, "--query", query)
@@ -42,7 +42,7 @@ def test_a_stamped_record_claims_at_the_usual_rate(marked: Marked, capsys: Capsy
     assert record.stat().st_mode & 0o777 == 0o600
     tomorrow = (datetime.now(UTC) + timedelta(days=1)).date().isoformat()
     for options, basis, rate in (
-        ((*trust, "--suspect-seen", tomorrow), "attested", CHANCE_RATE),
+        ((*trust, "--suspect-seen", tomorrow), "dated", DISHONEST_CLAIMANT_RATE),
         ((*trust, "--suspect-seen", "2020-01-01"), "younger", DISHONEST_CLAIMANT_RATE),
         (trust, "undated", DISHONEST_CLAIMANT_RATE),
         (("--suspect-seen", tomorrow), "self_declared", DISHONEST_CLAIMANT_RATE),
@@ -51,7 +51,7 @@ def test_a_stamped_record_claims_at_the_usual_rate(marked: Marked, capsys: Capsy
         assert (code, claim["rate_basis"], claim["false_claim_rate"]) == (0, basis, rate)
     assert "no certificate was given" in claim["notes"][-1]
     beside = ("--attestation", tmp_path / "reply.tsr", *trust, "--suspect-seen", tomorrow)
-    assert marked.verify(capsys, marked.model, *beside)[1]["rate_basis"] == "attested"
+    assert marked.verify(capsys, marked.model, *beside)[1]["rate_basis"] == "dated"
 
 
 @pytest.mark.long

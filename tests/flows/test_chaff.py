@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 
 from engine.errors import InputError
+from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.model import ATTRIBUTES, GaussianModel
 from engine.watermark.claim import Verdict

@@ -19,6 +19,7 @@ from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import GaussianModel
 from engine.raster import render
 from engine.watermark.grain import roughen
+from engine.watermark.rates import Attested
 
 pytestmark = pytest.mark.slow
 
@@ -260,6 +261,10 @@ def test_the_rate_is_not_the_claimant_s_choice(scene: MarkedScene) -> None:
     assert 6.6 < weak[0].z < 13.3
     assert [claim.verdict.value for claim in weak] == ["marked", "inconclusive"]
     assert [claim.would_be_claim_if_attested for claim in weak] == [False, True]
+    stamped = replace(scene.opened, attested=Attested("2026-03-01T00:00:00+00:00", "a time-stamping service"))
+    dated = verify_images([shot], stamped, VerifyConfig(suspect_seen="2026-03-02"), cameras=[camera]).claim
+    assert (dated.verdict.value, dated.rate_basis) == ("inconclusive", "dated")
+    assert dated.conditions == ("the suspect did not exist before 2026-03-02, which is the owner's word",)
 
 
 def test_renders_say_as_much_however_small_the_key_views_were(small_plant: GaussianModel) -> None:

@@ -125,6 +125,16 @@ def test_the_suspect_is_called_what_it_is(pictures: int, text: str) -> None:
     assert words_of(report("marked"), PLAIN, pictures=pictures).finding.startswith(text)
 
 
+def test_an_answer_that_hangs_on_the_owners_word_says_so_first() -> None:
+    seen = "the suspect did not exist before 2026-11-03, which is the owner's word"
+    open_one = report("inconclusive", would_be_claim_if_attested=True, conditions=[seen], missing="more")
+    words = words_of(open_one, PLAIN)
+    assert words.finding.startswith("This would be a claim at 1 in 10^9 if the suspect did not exist before 2026-11-03")
+    assert "the owner's word" in words.finding
+    earlier = {name: value for name, value in open_one.items() if name != "conditions"}
+    assert "if a third party attested" in words_of(earlier, PLAIN).finding
+
+
 def test_a_weak_claim_says_why_it_counts() -> None:
     weak = report("marked", meets_dishonest_claimant_rate=False)
     assert BASES["drawn"] in words_of(weak, PLAIN).meaning["record_time"]

@@ -19,13 +19,13 @@ DRAWN = Attested("2026-03-01T12:00:00+00:00", "a service that drew", drawn=True)
     [
         (None, "", "self_declared", DISHONEST_CLAIMANT_RATE, CHANCE_RATE),
         (None, "2026-12-24", "self_declared", DISHONEST_CLAIMANT_RATE, CHANCE_RATE),
-        (STAMPED, "2026-03-02", "attested", CHANCE_RATE, CHANCE_RATE),
+        (STAMPED, "2026-03-02", "dated", DISHONEST_CLAIMANT_RATE, CHANCE_RATE),
         # Whoever stamps a record after he tried ten thousand millions of them has a stamp, too.
         (STAMPED, "", "undated", DISHONEST_CLAIMANT_RATE, CHANCE_RATE),
         (STAMPED, "2026-03-01", "younger", DISHONEST_CLAIMANT_RATE, None),
         (STAMPED, "2026-03-01T12:00:00+00:00", "younger", DISHONEST_CLAIMANT_RATE, None),
         (STAMPED, "2026-03-01T14:00:00+02:00", "younger", DISHONEST_CLAIMANT_RATE, None),
-        (STAMPED, "2026-03-01T12:00:01+00:00", "attested", CHANCE_RATE, CHANCE_RATE),
+        (STAMPED, "2026-03-01T12:00:01+00:00", "dated", DISHONEST_CLAIMANT_RATE, CHANCE_RATE),
         (DRAWN, "", "drawn", CHANCE_RATE, CHANCE_RATE),
         (DRAWN, "2020-01-01", "younger", DISHONEST_CLAIMANT_RATE, None),
     ],
