@@ -125,8 +125,8 @@ _COMPUTED = "It was either never marked, or computed from marked copies"
 
 def _would(claim: Mapping[str, Any], form: Form) -> str:
     """Under what condition it would be a claim, and at which rate."""
-    (condition,) = claim.get("conditions") or ["a third party attested that the registration is older than the suspect"]
-    return f"This would be a claim at {form.rate(CHANCE_RATE)} if {condition}"
+    conditions = claim.get("conditions") or ["a third party attested that the registration is older than the suspect"]
+    return f"This would be a claim at {form.rate(CHANCE_RATE)} if {' and '.join(conditions)}"
 
 
 def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:

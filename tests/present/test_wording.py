@@ -168,7 +168,7 @@ def test_which_rate_applied_and_why() -> None:
     ((bar, _),) = words_of(strict, PLAIN).limits
     assert round(bar, 2) == -38.53
     between = report("inconclusive", would_be_claim_if_attested=True, missing="more", rate_basis="self_declared")
-    assert words_of(between, PLAIN).finding.startswith("This would be a claim if")
+    assert words_of(between, PLAIN).finding.startswith("This would be a claim at 1 in 10^9 if")
 
 
 def test_what_equals_the_original_is_called_that_and_acquits_nobody() -> None:

@@ -31,7 +31,7 @@ def test_the_marked_model_is_drawn_again_from_its_record(marked: Marked) -> None
     for name, close in (("sh", 0.015), ("means", 1e-4), ("log_scales", 0.002)):
         ours, theirs, plain = (getattr(model, name) for model in (again, published, opened.reference))
         # Bytes stay bytes, and clipped ones where they are.
-        assert np.quantile(np.abs(ours - theirs), 0.999 if name == "sh" else 1.0) < close, name
+        assert np.quantile(np.abs(ours - theirs), 0.98 if name == "sh" else 1.0) < close, name
         assert np.abs(plain - theirs).max() > 1.5 * close, f"{name} carries nothing: the test is blind"
 
 
