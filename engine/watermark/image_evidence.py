@@ -16,6 +16,7 @@ import numpy as np
 
 from engine.kernels.thread_crew import run_turns, thread_count
 from engine.model import SH_C0, Bool, Float32, Float64
+from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.residual import image_cotangent
 from engine.pictures.alignment.tone_curve import Toned
 from engine.pictures.alignment.uneven_light import fit_colors
@@ -159,6 +160,7 @@ class PublicMark:
 
     image: Float32  # (H, W, 3)
     signs: Float64  # (C,) sign of each chip's displacement in it
+    blur: Blur | None = None  # of the picture; `image` has it
 
 
 def gather_image_evidence(
@@ -192,12 +194,14 @@ def gather_image_evidence(
     geometry : GrainView, optional
         The reference at the same camera where the mark has a grain, whose chips then follow the tint's.
     """
-    weigh = _reader(layout, view, reference, warped, mask, through)
+    blur = mark.blur
+    weigh = _reader(layout, view, reference, warped, mask, through, blur)
 
     cotangents = [reference, reference]
 
     def weigh_one(turn: int) -> None:
-        cotangents[turn] = np.ascontiguousarray(weigh(reference if turn == 0 else reference + mark.image))
+        pulled = weigh(reference if turn == 0 else reference + mark.image)
+        cotangents[turn] = np.ascontiguousarray(pulled if blur is None else blur.apply(pulled))
 
     run_turns(weigh_one, len(cotangents), thread_count())  # most of it is one thread's, and lets go of Python's lock
 
@@ -251,12 +255,21 @@ def _gathered(layout: Layout, pulled: Float32) -> Float64:
 
 
 def _reader(
-    layout: Layout, view: View, reference: Float32, warped: Float32, mask: Bool, through: Float32 | None
+    layout: Layout,
+    view: View,
+    reference: Float32,
+    warped: Float32,
+    mask: Bool,
+    through: Float32 | None,
+    blur: Blur | None,
 ) -> Callable[[Float32], Float32]:
     """Function from a render (H, W, 3) that the picture is held against, the reference or nearly, to the weighted
     residual (H, W, 3) that is to be pulled back."""
     grid = find_grid(warped)
-    spread = None if grid is None else block_spread(grid.part(_public_pattern(layout, view)))
+    spread = None
+    if grid is not None:
+        pattern = _public_pattern(layout, view)
+        spread = block_spread(grid.part(pattern if blur is None else blur.apply(pattern)))
 
     own = warped if through is None else warped - through
     toned = fit_colors(reference, own, mask) if grid is None and mask.any() else None

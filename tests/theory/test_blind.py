@@ -16,6 +16,7 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies
 from engine.lab.sim.attacks import model_attack
 from engine.model import Float32
+from engine.pictures.alignment.blur import Blur
 from engine.raster import render
 from engine.watermark.keys import CHIPS
 from engine.watermark.model_evidence import Evidence
@@ -46,13 +47,13 @@ def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
 
 
 def suspects(scene: MarkedScene) -> dict[str, Suspect]:
-    """Marked, unmarked, moved, noised, thinned; two pictures of known cameras, one of them a JPEG."""
+    """Marked, unmarked, moved, noised, thinned; two pictures of known cameras, one blurred and one a JPEG."""
     moved = model_attack("similarity").apply(scene.marked, 4.0, rng=2)
     noised = model_attack("noise_all").apply(scene.marked, 0.1, rng=2)
     few = model_attack("prune_random").apply(scene.marked, 0.9, rng=2)
     cameras = make_rig(scene.marked, 2, 320, 320)
     pictures = [np.clip(render(scene.marked, camera), 0.0, 1.0) for camera in cameras]
-    pictures[1] = as_jpeg(pictures[1])
+    pictures[0], pictures[1] = Blur(7.0, 0.5, 0.0).apply(pictures[0]), as_jpeg(pictures[1])
     models = {"marked": scene.marked, "unmarked": scene.original, "moved": moved, "noised": noised, "thinned": few}
     return {name: Suspect(model) for name, model in models.items()} | {"pictures": Suspect(None, pictures, cameras)}
 

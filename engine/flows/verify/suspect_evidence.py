@@ -24,6 +24,7 @@ from engine.numerics.similarity import mirror_model
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
+from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import Alignment, align_either_hand, align_near, align_upright, near_motions
 from engine.pictures.camera.camera_motion import carried
@@ -110,6 +111,13 @@ class ReferenceView:
     alpha: Float32  # (H, W) its opacity
     mark: Float32  # (H, W, 3) what a mark of public signs adds
     geometry: GrainView | None
+    blur: Blur | None = None  # of the picture that lies over it; `plain` and `mark` have it
+
+    def blurred(self, blur: Blur | None) -> ReferenceView:
+        """This view as a blurred picture shows it; itself where there is no blur."""
+        if blur is None:
+            return self
+        return replace(self, plain=blur.apply(self.plain), mark=blur.apply(self.mark), blur=blur)
 
     def softened(self, sigma: float) -> ReferenceView:
         """This view as a picture shows it that was blurred by `sigma` pixels."""
@@ -118,7 +126,7 @@ class ReferenceView:
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs), through, self.geometry)
+        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs, self.blur), through, self.geometry)
 
 
 def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
@@ -156,7 +164,8 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> tup
     if alignment is None:
         return None, False
     turned, face = alignment.mirrored, alignment.suspect
-    laid = _carried(_Laid(view, alignment, None), face, reference, RasterSettings(), False)
+    laid = _blurred(_Laid(view, alignment, None), face)
+    laid = _carried(laid, face, reference, RasterSettings(), False)
     return laid.view.read(laid.alignment.warped, laid.alignment.mask), turned
 
 
@@ -178,7 +187,7 @@ def _read_whole(
     laid = _lay_over_background(view, image)
     if laid is None:
         return None
-    laid = _carried(laid, image, reference, found.settings, True)
+    laid = _carried(_blurred(laid, image), image, reference, found.settings, True)
     alignment, behind = laid.alignment, laid.behind
     if behind is None:
         return laid.view.read(alignment.warped, alignment.mask)
@@ -192,6 +201,18 @@ def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
     behind = find_background(image, view.alpha)
     alignment = align_near(view.plain, image if behind is None else image - behind.through)
     return None if alignment is None else _Laid(view, alignment, behind)
+
+
+def _blurred(laid: _Laid, image: Float32) -> _Laid:
+    """The same with the view as blurred as the picture is, and the picture laid over that anew."""
+    through = np.float32(0.0) if laid.behind is None else laid.behind.through
+    blur = find_blur(laid.view.plain, laid.alignment.warped, laid.alignment.mask)
+    if blur is None:
+        return laid
+    view = laid.view.blurred(blur)
+    mirrored = np.linalg.det(laid.alignment.matrix[:2, :2]) < 0
+    near = None if mirrored or image.shape != view.plain.shape else align_near(view.plain, image - through)
+    return _Laid(view, near or laid.alignment, laid.behind)
 
 
 def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: RasterSettings, over: bool) -> _Laid:
@@ -216,7 +237,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
             there = carried(camera, matrix, width, height)
             if there is None:
                 break
-            view = reference.at(there, drawn)
+            view = reference.at(there, drawn).blurred(laid.view.blur)
             behind = find_background(image, view.alpha) if over else None
             through = np.float32(0.0) if behind is None else behind.through
             near = align_upright(view.plain, image - through)
