@@ -164,6 +164,11 @@ def make_mark(
 def mark_again(opened: OpenedRecord) -> GaussianModel:
     """A record's marked model, drawn again: what was delivered but for rounding, to the original's lattice and by its
     file's format."""
+    return displaced(opened.reference, *whole_displacements(opened))
+
+
+def whole_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:
+    """As `owner_displacements`, with the copy layer's on top."""
     tint, rough = owner_displacements(opened)
     if opened.copies is not None:
         copies = opened.copies
@@ -171,7 +176,7 @@ def mark_again(opened: OpenedRecord) -> GaussianModel:
         tint = tint + copies.layout.displace(copies.layout.amplitudes * values[: copies.layout.chips])
         if copies.grain.there:
             rough = _sum(rough, copies.grain.displacements(values[copies.layout.chips :]))
-    return displaced(opened.reference, tint, rough)
+    return tint, rough
 
 
 def owner_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:

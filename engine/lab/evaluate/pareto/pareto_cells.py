@@ -11,7 +11,7 @@ import numpy as np
 
 from engine.errors import CapacityError
 from engine.flows.embed.auto_profile import VIEW_SIZE, Rehearsal
-from engine.flows.embed.copy_mark import owner_displacements
+from engine.flows.embed.copy_mark import whole_displacements
 from engine.flows.embed.delivery import deliver
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import add_dc
@@ -171,7 +171,7 @@ def _fidelity(subject: MarkedScene, original: GaussianModel, views: list[Camera]
 
 def _unmarked(marked: GaussianModel, opened: OpenedRecord) -> GaussianModel:
     """The delivered model without its mark: what the record says was added is taken away."""
-    return marked.with_(sh=add_dc(marked.sh, -owner_displacements(opened)[0]))
+    return marked.with_(sh=add_dc(marked.sh, -whole_displacements(opened)[0]))
 
 
 def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: bool) -> Row:

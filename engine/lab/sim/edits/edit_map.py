@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from engine.flows.embed.copy_mark import owner_displacements
+from engine.flows.embed.copy_mark import whole_displacements
 from engine.flows.records.opened_record import OpenedRecord
 from engine.lab.sim.edits.edit import Recoloring
 from engine.lab.sim.edits.pieces import Pieces, register_pieces
@@ -232,7 +232,7 @@ def _moved_by(pieces: Pieces, rows: Int64) -> Similarity:
 
 def _mark_of(opened: OpenedRecord) -> Float64:
     """(N, 3) DC displacement that the record's mark makes."""
-    return owner_displacements(opened)[0][:, :3].astype(np.float64)
+    return whole_displacements(opened)[0][:, :3].astype(np.float64)
 
 
 def _beyond(reference: Float64, shown: Float64, mark: Float64, trust: Float64) -> tuple[float, Float64]:

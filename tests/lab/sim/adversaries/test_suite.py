@@ -99,7 +99,9 @@ def test_rows_say_what_held_what_broke_and_what_it_cost(scene: Marked, model: Ga
     by_label = {row["attack"]: row for row in rows}
     assert by_label["untouched"]["psnr"] == math.inf
     assert by_label["merged"]["psnr"] == math.inf  # the foreign scene is no damage
-    assert by_label["three copies"]["z"] < 0.8 * by_label["untouched"]["z"]
+    assert (
+        by_label["three copies"]["z"] > by_label["untouched"]["z"]
+    )  # what copies share stays, what they differ in not
     assert done[-1] == 1.0
     assert failures_first(rows)[0]["attack"] == "nothing left"
 

@@ -146,7 +146,7 @@ def test_every_object_is_found_under_its_own_record(merged: FlatScene, objects: 
     for finding in found:
         assert finding.claim.verdict is Verdict.MARKED
         assert finding.claim.bit_accuracy == 1.0
-        assert finding.claim.tries == 18
+        assert finding.claim.tries == 36
         assert finding.asset_share == 1.0
         name = finding.objects[0][0]
         rows = np.flatnonzero(merged.owner == merged.names.index(name))
