@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.model import Bool, Float64, Int32, Int64
+from engine.watermark.code_shares import combined
 from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence, Residual
@@ -62,9 +63,8 @@ def without_owner(found: Residual, owner: Float64) -> Residual:
     owner : (N, D) float64
         Displacement of each reference Gaussian by the owner's layer.
     """
-    shown = np.zeros_like(found.values)
-    width = found.values.shape[1]
-    np.add.at(shown, found.rows, found.shares[:, None] * owner[found.reference_rows, :width])
+    count, width = found.values.shape
+    shown = combined(found.rows, found.reference_rows, found.shares, owner[:, :width], count)
     return replace(found, values=found.values - _share(found.values, shown, found.trust[:, None]) * shown)
 
 

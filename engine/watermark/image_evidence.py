@@ -216,11 +216,16 @@ def gather_image_evidence(
     # How y answers to a mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim.
     _, less = read(cotangents[1])
-    parts, weights = _parts(layout), layout.amplitudes.astype(np.float32)
+    parts, weights = [(layout.chips, len(layout.directions[0]))], layout.amplitudes.astype(np.float32)
     if geometry is not None:
         weights = np.concatenate([weights, geometry.weights()])
         parts.append((len(weights) - layout.chips, ATTRIBUTES))
-    limits = _limits(weights * y, parts)
+    limits = np.concatenate(
+        [
+            _limits(weights[end - chips : end] * y[end - chips : end], kinds)
+            for end, (chips, kinds) in zip(np.cumsum([chips for chips, _ in parts]), parts, strict=True)
+        ]
+    )
     held, held_less = _saturate(y, weights, limits), _saturate(less, weights, limits)
     signs = mark.signs.astype(np.float32)
     answers = signs * (y - less), held, signs * (held - held_less)
@@ -229,11 +234,11 @@ def gather_image_evidence(
 
 def gather_again(layout: Layout, pulled: Sequence[Float32]) -> Evidence:
     """The same pictures read for the cells of another copy of the asset, without what to expect."""
-    weights = layout.amplitudes
+    weights, carriers = layout.amplitudes, len(layout.directions[0])
     y = np.zeros(layout.chips)
     for one in pulled:
         part = _gathered(layout, one)
-        y += _saturate(part, weights, _limits(weights * part, _parts(layout)))
+        y += _saturate(part, weights, _limits(weights * part, carriers))
     return Evidence(y, weights if pulled else np.zeros(layout.chips), np.zeros(layout.chips))
 
 
@@ -246,7 +251,7 @@ def gather_displacements(layout: Layout, view: View, reference: Float32, picture
     spread = block_spread(_public_pattern(layout, view))
     cotangent = np.ascontiguousarray(jpeg_cotangent(reference, picture, everywhere, spread, quality))
     y = _gathered(layout, view.backward_colors(cotangent))
-    return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, _parts(layout)))
+    return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, len(layout.directions[0])))
 
 
 def _gathered(layout: Layout, pulled: Float32) -> Float64:
@@ -296,21 +301,13 @@ def _public_pattern(layout: Layout, view: View) -> Float32:
     return view.render(np.ascontiguousarray(SH_C0 * shown))[0]
 
 
-def _parts(layout: Layout) -> list[tuple[int, int]]:
-    """`PictureEvidence.parts` of the tint: cells of each width by themselves."""
-    return [(part.stop - part.start, len(layout.directions[0])) for part in layout.parts]
-
-
-def _limits(evidence: Floats, parts: Sequence[tuple[int, int]]) -> Floats:
-    """(C,) where evidence saturates: CLIP medians of what the picture shows, for each kind of each part."""
-    limits, start = np.empty_like(evidence), 0
-    for chips, kinds in parts:
-        for kind in range(kinds):
-            each = slice(start + kind, start + chips, kinds)
-            shown = np.abs(evidence[each])
-            shown = shown[shown > 0]
-            limits[each] = CLIP * float(np.median(shown)) if len(shown) else 1.0
-        start += chips
+def _limits(evidence: Floats, carriers: int) -> Floats:
+    """(C,) where evidence saturates: CLIP medians of what the picture shows, for each carrier."""
+    limits = np.empty_like(evidence)
+    for r in range(carriers):
+        shown = np.abs(evidence[r::carriers])
+        shown = shown[shown > 0]
+        limits[r::carriers] = CLIP * float(np.median(shown)) if len(shown) else 1.0
     return limits
 
 

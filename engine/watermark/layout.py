@@ -1,7 +1,6 @@
 """The layout of a mark: which code vectors exist, their carriers, and how far each chip is displaced."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +23,8 @@ class Layout:
     # (R, D) each: carriers of each stage; the same R and D for all. D is 3, DC space, or 3K of all coefficients
     directions: tuple[Float64, ...]
     amplitudes: Float64  # (C,) size of each chip's displacement, SH units; flat order stage, code vector, carrier
-    # (N,) how many times its code vectors' displacements each Gaussian takes, so that no two are displaced alike; the
-    # stages are then cells of several widths, each over all of the scene. None: one time, and stages as the quantizer's
+    # (N,) how many times its code vectors' displacements each Gaussian takes, so that no two are displaced alike; None:
+    # one time
     multiples: Float32 | None = None
 
     @property
@@ -38,12 +37,6 @@ class Layout:
         """Numbers D of a Gaussian's colour that the mark displaces: the first 3, or all."""
         return int(self.directions[0].shape[1])
 
-    @property
-    def parts(self) -> list[slice]:
-        """Where the chips of each stage lie."""
-        ends = np.cumsum([0, *self.codes]) * len(self.directions[0])
-        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
-
     def at(self, rows: Int64 | Int32) -> "Layout":
         """Of these Gaussians alone."""
         labels = tuple(label[rows] for label in self.labels)
@@ -51,7 +44,9 @@ class Layout:
 
     def split(self, flat: Float64) -> list[Float64]:
         """(C,) per chip -> one (codes, R) array per stage."""
-        return [flat[part].reshape(-1, len(self.directions[0])) for part in self.parts]
+        carriers = len(self.directions[0])
+        ends = np.cumsum(self.codes)[:-1] * carriers
+        return [part.reshape(-1, carriers) for part in np.split(flat, ends)]
 
     def displace(self, signed: Float64) -> Float32:
         """(N, D) displacement of each Gaussian's colour for the displacements (C,) of the chips.

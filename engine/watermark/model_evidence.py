@@ -152,36 +152,27 @@ def gather_residual(layout: Layout, found: Residual) -> Evidence:
         CodeShares(found.rows, stage[found.reference_rows], shares, (count, codes))
         for stage, codes in zip(layout.labels, layout.codes, strict=True)
     ]
-    means, left = _take_turns(stages, residual, trust, widest_first=layout.multiples is not None)
+    means, left = _take_turns(stages, residual, trust)
     if len(found.rows) > count:
         # Plain matches err each by itself. Mixtures err in what they are made of, too, and those that share a patch err
         # together: what they have in common is no excuse for them.
         left = residual
-    weighed: Evidence | None = None
-    for mean, stage, direction, part in zip(means, stages, layout.directions, layout.parts, strict=True):
+    y, variance = [], []
+    for mean, stage, direction in zip(means, stages, layout.directions, strict=True):
         along = direction[:, : residual.shape[1]].T
-        variance = stage.variance(left @ along, trust).reshape(-1)
-        said = _weigh((mean @ along).reshape(-1), variance, layout.amplitudes[part], len(direction))
-        weighed = said if weighed is None else weighed.then(said)
-    assert weighed is not None
+        y.append((mean @ along).reshape(-1))
+        variance.append(stage.variance(left @ along, trust).reshape(-1))
+    weighed = _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
     return replace(weighed, differences=tuple(means))
 
 
-def _take_turns(
-    stages: list[CodeShares], residual: Float64, trust: Float64, *, widest_first: bool
-) -> tuple[list[Float64], Float64]:
-    """Displacements (codes, D) of each stage's code vectors, and what they leave of the residuals (n, D).
-
-    Cells of several widths are read once, the widest first: small ones could explain all that wide ones say. The
-    quantizer's stages take turns.
-    """
+def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> tuple[list[Float64], Float64]:
+    """Displacements (codes, D) of each stage's code vectors, and what they leave of the residuals (n, D)."""
     means = [np.zeros((stage.codes, residual.shape[1])) for stage in stages]
     explained = [np.zeros_like(residual) for _ in stages]
     left = residual
-    order = sorted(range(len(stages)), key=lambda s: stages[s].codes) if widest_first else list(range(len(stages)))
-    for _ in range(PASSES if len(stages) > 1 and not widest_first else 1):  # Eq 11: each sees what the others leave
-        for s in order:
-            stage = stages[s]
+    for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over
+        for s, stage in enumerate(stages):
             left = left + explained[s]
             means[s] = stage.means(left, trust)
             explained[s] = stage.explained(means[s], left, trust)

@@ -52,10 +52,6 @@ class PlanConfig:
     grain_scale: float = 0.02
     # Code vectors that the key makes of the public cells, two or more of these each; a power of two
     codes: int = 4096
-    # The same again as cells that are 8 times as wide, 64 times, ..., so often; and what share of the tint's image
-    # energy these have: what is wide outlives smoothing, merging and posted pictures
-    wide_scales: int = 0
-    wide_share: float = 0.25
     # Where copies are told apart: what share of the squared error is theirs. The rest is the owner's, the same in all
     # copies, and carries the claim; pictures need more of it
     copy_tint: float = 0.25
@@ -101,7 +97,7 @@ def make_plan(
     Parameters
     ----------
     stages : sequence of Stage
-        Quantiser of the unmarked model, at least stage 0; with `multiples`, cells of several widths.
+        Quantiser of the unmarked model; at least stage 0.
     impact : Impact
         Over the key views.
     emphasis : (N,) float, optional
@@ -117,8 +113,7 @@ def make_plan(
         directions is that of DC, so energies are estimated alike.
     """
     config = config or PlanConfig()
-    cells = multiples is not None  # all stages are cells, and none a residual's codes
-    stages, rest = (stages, config.wide_share) if cells else (stages[: config.stages], config.residual_share)
+    stages = stages[: config.stages]
     shown = impact.per_view if multiples is None else [view * multiples for view in impact.per_view]
     amplitudes, energies, directions = [], [], []
     for number, stage in enumerate(stages):
@@ -126,12 +121,12 @@ def make_plan(
         coverage = np.stack([np.bincount(stage.labels, view, count) for view in shown])  # (V, M)
         usage = coverage.sum(axis=0)
         # In the image a cell adds up over its members; a residual code's members are strangers to each other.
-        reach = coverage if number == 0 or cells else coverage * _incoherence(stage, impact, count)
+        reach = coverage if number == 0 else coverage * _incoherence(stage, impact, count)
         mask = visual_mask(stage, impact, usage, count, config)
         if emphasis is not None:
             members = np.maximum(np.bincount(stage.labels, minlength=count), 1)
             mask = mask * np.bincount(stage.labels, emphasis, count) / members
-        if number == 0 or cells:
+        if number == 0:
             mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
         carriers = make_carriers(stage.codebook, usage, whole=whole)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
@@ -140,7 +135,7 @@ def make_plan(
         if jitter is not None:
             chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
-        share = 1.0 - rest if number == 0 else rest / (len(stages) - 1)
+        share = 1.0 - config.residual_share if number == 0 else config.residual_share / (len(stages) - 1)
         if len(stages) == 1:
             share = 1.0
         scale = share / max(float(energy.sum(axis=(1, 2)).mean()), 1e-300)

@@ -31,10 +31,9 @@ BLUR = 8
 blurred."""
 
 
-def cells_key(key: OwnerKey, asset: bytes, use: str, width: int = 1) -> bytes:
-    """The sub-key of one set of cells; `asset` is the digest of the canonical reference, `width` how many times as wide
-    as the smallest they are."""
-    return key.derive(CELLS, asset + f"{use}/{width}".encode())
+def cells_key(key: OwnerKey, asset: bytes, use: str) -> bytes:
+    """The sub-key of one set of cells; `asset` is the digest of the canonical reference."""
+    return key.derive(CELLS, asset + f"{use}/1".encode())
 
 
 def join_cells(

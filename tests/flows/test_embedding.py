@@ -8,7 +8,7 @@ import pytest
 from engine.compress.pruning import PruneConfig
 from engine.errors import CapacityError, InputError
 from engine.flows.embed import landmark_bank
-from engine.flows.embed.embedding import Embedding, embed
+from engine.flows.embed.embedding import Embedding, embed, embed_copies
 from engine.flows.embed.profiles import RefineConfig, profile
 from engine.flows.records.opened_record import landmarks_in, open_record
 from engine.flows.verify.search import VerifyConfig, verify_model
@@ -250,3 +250,8 @@ def test_centres_that_float32_rounds_together_are_refused(small_plant: GaussianM
     far = small_plant.with_(means=small_plant.means + np.float32(1e9))
     with pytest.raises(InputError, match="float32 cannot tell its centres apart"):
         quick(far)
+
+
+def test_copies_with_and_without_a_name_are_not_made_together(small_plant: GaussianModel) -> None:
+    with pytest.raises(InputError, match="give each other away"):
+        next(embed_copies(small_plant, bench_key(1), ["", "a"], original_sha256=DIGEST))

@@ -23,7 +23,7 @@ from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import DRAWN, landmarks_in
 from engine.flows.views.camera_rig import Extent
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.header import Arrays
 from engine.records.record import Record
@@ -36,11 +36,6 @@ from engine.watermark.secret_cells import COPIES, OWNER, cells_key, jitter, join
 from engine.watermark.unpredictability import unexplained
 
 __all__ = ["Asset", "bank_of", "known_landmarks"]
-
-WIDER = 8
-"""By how much cells of the next width are wider."""
-LEAST_CELLS = 16
-"""Fewest of one width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +53,7 @@ class Asset:
     landmarks: Landmarks | None
     seen: SeenPoints | None
     key: OwnerKey = field(repr=False)
-    _marks: dict[bool, tuple[OwnerMark, Committed]] = field(default_factory=dict)
+    copied: bool  # whether its copies are told apart: a layer of theirs then lies on the owner's
 
     @cached_property
     def grained(self) -> Grained:
@@ -71,27 +66,22 @@ class Asset:
         free = self.terms.variant.labels is None and self.settings.output == "fidelity"
         return find_lattices(self.delivery.model) if free else FREE
 
-    def owner_mark(self, *, copied: bool) -> tuple[OwnerMark, Committed]:
-        """What all copies share, where it leaves room for a copy layer or not; and what their records commit to."""
-        if copied not in self._marks:
-            self._marks[copied] = self._owner_mark(copied)
-        return self._marks[copied]
-
-    def _owner_mark(self, copied: bool) -> tuple[OwnerMark, Committed]:
+    @cached_property
+    def owner_mark(self) -> tuple[OwnerMark, Committed]:
+        """What all copies share, and what their records commit to."""
         terms, settings, ground, views = self.terms, self.settings, self.delivery.ground, self.delivery.views
-        settled = settle(views, self._plan(copied), settings, self.grained)
+        settled = settle(views, self._plan(), settings, self.grained)
         message = derive_message(self.key, terms.length, self.digest) if terms.message is None else terms.message
         commitments = {**terms.variant.commitments, **({DRAWN: terms.drawn} if terms.drawn else {})}
         committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments)
-        wanted = Fidelity(settings.psnr_db + (COPY_MARGIN_DB if copied else 0.0), settings.ssim)
+        wanted = Fidelity(settings.psnr_db + (COPY_MARGIN_DB if self.copied else 0.0), settings.ssim)
         at_view = terms.variant.at_view
         pixels = ground.picture_scale
         made = make_owner_mark(views, settled, self.key, committed, wanted, pixels, at_view, self.lattices)
         return made, committed
 
-    def _plan(self, copied: bool) -> Plan:
-        """The tint at unit strength, on cells of several widths that the key joins; and where copies may differ,
-        one."""
+    def _plan(self) -> Plan:
+        """The tint at unit strength, on cells that the key joins; and the layer in which copies may differ."""
         variant, settings, config = self.terms.variant, self.settings, self.settings.plan
         ground, delivered, stages = self.delivery.ground, self.delivery.model, self.delivery.stages
         # A file's own codebook and the compact output keep few values on purpose: Gaussians move together there, and
@@ -101,24 +91,20 @@ class Asset:
         still = find_masses(delivered.sh[:, 0], config.mass_share) if free else None
         secret = cells_key(self.key, self.digest, OWNER)
         missed: Float64 | None = None
-        times: Float32 | None = None
+        times = None if still is None else multiples(secret, still)
         if not own:
-            first = self._joined(OWNER, config.codes)
+            first = self._joined(secret)
             centers = group_means(delivered.means, first.labels, ground.colors).astype(np.float64)
             missed = unexplained(centers, first.codebook[:, :3].astype(np.float64))
             stages = (first, *stages[1:])
-        if still is not None:
-            times = multiples(secret, still)
-            wider = [config.codes // WIDER**n for n in range(1, config.wide_scales + 1)]
-            stages = (stages[0], *(self._joined(OWNER, count) for count in wider if count >= LEAST_CELLS))
         shaken = None if settings.paper.public_codes else lambda chips: jitter(secret, chips)
         emphasis = variant.emphasis_on(ground.impact)
         whole = settings.paper.whole_sh
         plan = make_plan(stages, ground.impact, config, emphasis, missed, shaken, times, whole=whole)
-        if not copied:
+        if not self.copied:
             return plan
         secret = cells_key(self.key, self.digest, COPIES)
-        beside = self._joined(COPIES, config.codes, blurred=still is not None) if not own else stages[0]
+        beside = stages[0] if own else self._joined(secret, blurred=still is not None)
         times = None if still is None else multiples(secret, still)
         alone = replace(config, stages=1)
         layer = make_plan(
@@ -126,12 +112,10 @@ class Asset:
         ).layout
         return replace(plan, copies=replace(layer, directions=plan.layout.directions[:1]))
 
-    def _joined(self, use: str, count: int, *, blurred: bool = False) -> Stage:
-        ground, stage = self.delivery.ground, self.delivery.stages[0]
-        secret = cells_key(self.key, self.digest, use, self.settings.plan.codes // count)
-        return join_cells(
-            stage, ground.cell_features, self.delivery.model, ground.colors, count, secret, blurred=blurred
-        )
+    def _joined(self, secret: bytes, *, blurred: bool = False) -> Stage:
+        ground, public, count = self.delivery.ground, self.delivery.stages[0], self.settings.plan.codes
+        features, colors = ground.cell_features, ground.colors
+        return join_cells(public, features, self.delivery.model, colors, count, secret, blurred=blurred)
 
 
 def bank_of(

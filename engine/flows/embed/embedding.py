@@ -135,14 +135,18 @@ def embed_on_terms(
 ) -> Iterator[Embedding]:
     """`embed_copies` with its options as one value."""
     clock = Clock(progress)
-    asset = _prepare(model, key, original_sha256, terms, clock)
+    if len({bool(copy) for copy in copies}) > 1:
+        raise InputError(f"a copy without a recipient's name beside copies with one: {SECOND_WATERMARK}")
+    asset = _prepare(model, key, original_sha256, terms, bool(copies and copies[0]), clock)
     for copy in copies:
         yield _mark(asset, key, copy, clock)
         clock = Clock(progress)
 
 
 @one_blas_thread
-def _prepare(model: GaussianModel, key: OwnerKey, original_sha256: str, terms: MarkTerms, clock: Clock) -> Asset:
+def _prepare(
+    model: GaussianModel, key: OwnerKey, original_sha256: str, terms: MarkTerms, copied: bool, clock: Clock
+) -> Asset:
     """Everything up to the recipient's own part."""
     config, variant = terms.config, terms.variant
     choice: Choice | None = None
@@ -185,6 +189,7 @@ def _prepare(model: GaussianModel, key: OwnerKey, original_sha256: str, terms: M
         landmarks=landmarks,
         seen=seen,
         key=key,
+        copied=copied,
     )
 
 
@@ -195,7 +200,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
     delivery, ground, views = asset.delivery, asset.delivery.ground, asset.delivery.views
     bits, wanted = terms.length, Fidelity(settings.psnr_db, settings.ssim)
     with clock.stage("plan"):  # 5, 6
-        owner, committed = asset.owner_mark(copied=bool(copy))
+        owner, committed = asset.owner_mark
     plan = owner.settled.plan
     with clock.stage("mark"):
         if terms.earlier is not None:
@@ -254,8 +259,10 @@ def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
     same &= set(arrays) == set(earlier.plan_arrays)
     if header.format_version < 3 or (same and all(np.array_equal(earlier.plan_arrays[n], arrays[n]) for n in arrays)):
         return
-    raise InputError(
-        f"this model was marked before (copy {earlier.copy!r}) with other settings: two watermarks of yours on a model"
-        " give each other away to whoever compares the files. Take the same settings, message and program version, and"
-        " either a recipient's name for every copy or none at all"
-    )
+    raise InputError(f"this model was marked before (copy {earlier.copy!r}) with other settings: {SECOND_WATERMARK}")
+
+
+SECOND_WATERMARK = (
+    "two watermarks of yours on one model give each other away to anyone who compares the files. Use the same settings,"
+    " message and program version, and a recipient's name for every copy or for none"
+)

@@ -14,15 +14,12 @@ from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.trace.copies import Copies, asset_of
-from engine.flows.verify.decision import VerifyConfig, copy_z
+from engine.flows.verify.decision import VerifyConfig, read_copy, strength_left
 from engine.flows.verify.search import Suspect, count_tries
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json
 from engine.watermark.layers import layered_z
-from engine.watermark.messages import Signs
-from engine.watermark.model_evidence import Evidence
-from engine.watermark.spreading import ONE_BIT, Spreading
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
@@ -159,25 +156,17 @@ def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRec
 
 
 def _judge(asset: Copies, opened: OpenedRecord) -> CopyFinding:
-    reading, strength = asset.reading, None
-    z = copy_z(reading, opened, either_way=True)
-    if z is None:  # its mark is its own, or nobody's but the owner's
+    reading = asset.reading
+    copy = read_copy(reading, opened, either_way=True)
+    if copy is None:  # its mark is its own, or nobody's but the owner's
         evidence = asset.evidence(opened)
         spreading = opened.spreading_of(len(evidence.y))
         signs, sized = spreading.signs(opened.message), evidence.sized(spreading.sizes)
-        z = layered_z(sized, signs, opened.layout.chips, either_way=True).best
-    elif reading.route == "model":
-        assert reading.copied is not None
-        strength = _strength(reading.copied, opened.copy_spreading(), ONE_BIT)
+        z, strength = layered_z(sized, signs, opened.layout.chips, either_way=True).best, None
+    else:
+        z, strength = copy.z, copy.strength if reading.route == "model" else None
     route, share = reading.route, reading.derived_fraction
     return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share, strength)
-
-
-def _strength(evidence: Evidence, spreading: Spreading, message: Signs) -> float:
-    """How much of a layer is left, by least squares over its chips: 1 in an untouched copy."""
-    sized = evidence.sized(spreading.sizes)
-    expected = float(sized.weights @ sized.signal)
-    return float((sized.weights * sized.y) @ spreading.signs(message)) / expected if expected > 0 else 0.0
 
 
 def _combined(asset: Copies, opened: OpenedRecord, findings: Sequence[CopyFinding]) -> Iterator[str]:
@@ -186,8 +175,9 @@ def _combined(asset: Copies, opened: OpenedRecord, findings: Sequence[CopyFindin
     if len(named) > 1:
         yield f"at least {len(named)} copies were combined: each left its own trace"
     elif named and named[0].strength is not None:
-        reading = asset.reading
-        owner = _strength(reading.evidence, opened.spreading_of(len(reading.evidence.y)), opened.message)
+        evidence = asset.reading.evidence
+        spreading = opened.spreading_of(len(evidence.y))
+        owner = strength_left(evidence.sized(spreading.sizes), spreading.signs(opened.message))
         if owner > 0 and named[0].strength < DAMPED * owner:
             yield "at least two copies were combined: what tells this copy from others is damped"
 

@@ -11,7 +11,7 @@ from engine.registration.registration_search import Registration
 from engine.watermark.claim import LINEAR, SCATTERED, Circumstances, Claim, ClaimConfig, Transform, Verdict, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.layers import layered_z, only
-from engine.watermark.messages import message_hex
+from engine.watermark.messages import Signs, message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import adaptive_weights, decode_paper
 from engine.watermark.power import Moments, change, moments
@@ -117,7 +117,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         # That of both together lies between them.
         change=max(change(*whole.part(part)) for part in _layers(evidence, tint).values()),
         sums=known,
-        copy_z=copy_z(reading, opened),
+        copy_z=None if (copy := read_copy(reading, opened)) is None else copy.z,
     )
     claim = decide(asked, spreading, opened.message, circumstances, rate)
     if reading.left_out and claim.verdict is Verdict.NOT_MARKED:  # what was not read may hold it
@@ -138,9 +138,16 @@ def _other_ways(reading: Reading, evidence: Evidence, spreading: Spreading) -> I
         yield LINEAR, linear
 
 
-def copy_z(reading: Reading, opened: OpenedRecord, *, either_way: bool = False) -> float | None:
-    """Z of the recipient's own layer, in the way and attribute in which it speaks loudest; None where the record has
-    none, and its copies have marks of their own."""
+@dataclass(frozen=True)
+class CopyReading:
+    """What a suspect says of the recipient's own layer."""
+
+    z: float  # in the way and attribute in which it speaks loudest
+    strength: float  # share of the layer that is left, by least squares over its chips: 1 in an untouched copy
+
+
+def read_copy(reading: Reading, opened: OpenedRecord, *, either_way: bool = False) -> CopyReading | None:
+    """None where the record has no such layer, and its copies have marks of their own."""
     if opened.copies is None or reading.copied is None:
         return None
     spreading = opened.copy_spreading()
@@ -148,7 +155,13 @@ def copy_z(reading: Reading, opened: OpenedRecord, *, either_way: bool = False) 
     tint = opened.copies.layout.chips
     ways = [said, *(way for way in [said.unsaturated()] if way is not None)]
     found = [layered_z(way, spreading.chips, tint, either_way=either_way).best for way in ways]
-    return max(found, key=abs if either_way else float)
+    return CopyReading(max(found, key=abs if either_way else float), strength_left(said, spreading.chips))
+
+
+def strength_left(evidence: Evidence, signs: Signs) -> float:
+    """By least squares over its chips, how much of a layer there is; of Gaussians, in whose units y is."""
+    expected = float(evidence.weights @ evidence.signal)
+    return float((evidence.weights * evidence.y) @ signs) / expected if expected > 0 else 0.0
 
 
 def _transform(registration: Registration | None) -> Transform | None:
