@@ -81,4 +81,4 @@ def _mark(claim: Mapping[str, Any]) -> tuple[bool | None, str]:
         )
     if claim["verdict"] == "inconclusive":
         return None, "Neither found nor excluded."
-    return False, "The suspect equals the unmarked original, or a part of it; no watermark is in it."
+    return False, "The suspect equals the unmarked original, or a part of it; this watermark was not detected."

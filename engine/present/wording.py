@@ -89,7 +89,7 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
     derived = f"{this} {'are' if pictures > 1 and not suspect else 'is'} derived from your asset"
     if claim["verdict"] == "not_marked":
         equals = "equal" if pictures > 1 and not suspect else "equals"
-        return f"{this} {equals} your unmarked original, or a part of it, and carries no watermark. {_COMPUTED}."
+        return f"{this} {equals} your unmarked original, or a part of it; your watermark was not detected. {_COMPUTED}."
     if claim["verdict"] == "inconclusive":
         it = suspect or f"the {kind}"
         if claim["would_be_claim_if_attested"]:
@@ -120,7 +120,7 @@ def _nothing_of(claim: Mapping[str, Any]) -> str:
     return f"None of your {searched['assets']} registered assets"
 
 
-_COMPUTED = "It was either never marked, or computed from marked copies"
+_COMPUTED = "Either it was never marked, or it was computed from one or more marked copies"
 
 
 def _would(claim: Mapping[str, Any], form: Form) -> str:
