@@ -14,7 +14,7 @@ from engine.flows.records.opened_record import landmarks_in, open_record
 from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
-from engine.model import Camera, GaussianModel
+from engine.model import SH_C0, Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.pictures.landmarks import rendered_landmarks as landmark_making
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -250,6 +250,17 @@ def test_centres_that_float32_rounds_together_are_refused(small_plant: GaussianM
     far = small_plant.with_(means=small_plant.means + np.float32(1e9))
     with pytest.raises(InputError, match="float32 cannot tell its centres apart"):
         quick(far)
+
+
+@pytest.mark.parametrize("copy", ["", "a"])
+def test_values_of_an_eight_bit_original_stay_eight_bit(small_plant: GaussianModel, copy: str) -> None:
+    """Between them, the distance to the nearest would be the watermark."""
+    made = quick(small_plant, copy=copy)
+    for channel in range(3):
+        before, after = (model.sh[:, 0, channel] for model in (small_plant, made.model))
+        assert (before != after).mean() > 0.5
+        levels = (after.astype(np.float64) * SH_C0 + 0.5) * 255.0
+        assert np.abs(levels - np.rint(levels)).max() < 1e-3
 
 
 def test_copies_with_and_without_a_name_are_not_made_together(small_plant: GaussianModel) -> None:
