@@ -18,6 +18,7 @@ from engine.lab.sim.adversaries.retraining import fine_tune
 from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import GaussianModel
 from engine.raster import render
+from engine.watermark.claim import LINEAR
 from engine.watermark.grain import roughen
 from engine.watermark.rates import Attested
 
@@ -283,3 +284,31 @@ def test_a_picture_whose_camera_was_given_shows_no_derivation_by_itself(scene: M
     claim = verify_images([to_8_bit(render(scene.original, camera))], scene.opened, cameras=[camera]).claim
     assert not claim.derivation.derived
     assert claim.verdict.value == "inconclusive"
+
+
+def pushed(scene: MarkedScene, share: float, steps: float, *, marked: bool) -> GaussianModel:
+    """The original, but for a share of its centers and sizes, which a thief moved far, up or down by a coin."""
+    rng, opened = np.random.default_rng(6), scene.opened
+    far = rng.random((len(scene.original), 6)) < share
+    moves = rng.choice([-steps, steps], far.shape)
+    if marked:  # where he pushed, the mark is under it still
+        tint = opened.layout.chips
+        moves += opened.spreading_of(tint + far.size).values(opened.message)[tint:].reshape(far.shape)
+    return roughen(scene.original, opened.grain, np.where(far, moves, 0.0).astype(np.float32))
+
+
+def test_what_was_pushed_far_is_read_in_proportion(scene: MarkedScene) -> None:
+    """Weights that fall with a displacement's size would let a push take the evidence away."""
+    claim = verify_model(pushed(scene, 0.25, 12.0, marked=True), scene.opened, VerifyConfig(route="model")).claim
+    assert claim.layers is not None
+    assert abs(claim.layers["both"]) < 5
+    assert claim.verdict.value == "marked"
+    assert claim.z == pytest.approx(max(z for name, z in claim.layers.items() if name.endswith(LINEAR)), rel=1e-6)
+
+
+def test_one_layer_near_the_original_does_not_acquit_the_other(scene: MarkedScene) -> None:
+    claim = verify_model(pushed(scene, 0.25, 12.0, marked=False), scene.opened, VerifyConfig(route="model")).claim
+    assert abs(claim.z) < 5
+    assert claim.verdict.value == "inconclusive"
+    assert claim.change is not None
+    assert claim.change > 0.25

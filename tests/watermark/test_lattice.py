@@ -122,3 +122,24 @@ def test_the_same_key_rounds_alike_and_another_does_not(free: GaussianModel, tmp
     one, again, other = (lattices.onto(original, asked, key).means for key in (KEY, KEY, bytes(32)))
     np.testing.assert_array_equal(one, again)
     assert (one != other).mean() > 0.2
+
+
+@pytest.mark.parametrize("kind", ["spz", "sog", "compressed.ply"])
+def test_the_ends_from_which_a_format_counts_stay(kind: str, free: GaussianModel, tmp_path: Path) -> None:
+    original = through(free, kind, tmp_path)
+    marked = find_lattices(original).onto(original, wanted(original, 1.0), KEY)
+    rows = 256 if kind == "compressed.ply" else len(original)
+    for least in (np.min, np.max):
+        np.testing.assert_array_equal(least(marked.means[:rows], axis=0), least(original.means[:rows], axis=0))
+
+
+def test_values_that_lie_only_roughly_on_even_steps_are_free() -> None:
+    rng = np.random.default_rng(3)
+    for off in (0.1, 0.12, 0.15, 0.2):
+        steps = rng.choice(50_000, 8_000, replace=False) + rng.uniform(-off, off, 8_000)
+        assert (
+            find_lattices(blobs(8_000).with_(means=(0.01 * steps[:, None] * [1, 1, 1]).astype(np.float32))).step(
+                "means"
+            )
+            == 0
+        )
