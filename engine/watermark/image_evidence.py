@@ -188,7 +188,8 @@ def gather_image_evidence(
     mask : (H, W) bool
         Pixels that carry evidence.
     mark : PublicMark
-        How the picture would show a mark.
+        How the picture would show a mark. Where it has a blur, `reference` has it, too, and the weighted residual goes
+        through the blur's adjoint before it is pulled back, for the Gaussians are those of the sharp render.
     through : (H, W, 3) float32, optional
         What of the picture is not the model's but shines through it (`pictures.background`).
     geometry : GrainView, optional
@@ -200,8 +201,8 @@ def gather_image_evidence(
     cotangents = [reference, reference]
 
     def weigh_one(turn: int) -> None:
-        pulled = weigh(reference if turn == 0 else reference + mark.image)
-        cotangents[turn] = np.ascontiguousarray(pulled if blur is None else blur.apply(pulled))
+        cotangent = weigh(reference if turn == 0 else reference + mark.image)
+        cotangents[turn] = np.ascontiguousarray(cotangent if blur is None else blur.adjoint(cotangent))
 
     run_turns(weigh_one, len(cotangents), thread_count())  # most of it is one thread's, and lets go of Python's lock
 

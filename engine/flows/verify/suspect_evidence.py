@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -26,11 +26,19 @@ from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.alignment.local_flow import align_locally
-from engine.pictures.alignment.planar import Alignment, align_either_hand, align_near, align_upright, near_motions
+from engine.pictures.alignment.planar import (
+    Alignment,
+    align_either_hand,
+    align_image,
+    align_near,
+    align_upright,
+    near_motions,
+    near_still,
+)
 from engine.pictures.camera.camera_motion import carried
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.pose_refinement import refine_level
+from engine.pictures.camera.pose_refinement import Drawing, refine_level
 from engine.pictures.jpeg.block_grid import JpegGrid, find_grid
 from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
@@ -48,6 +56,7 @@ from engine.watermark.spreading import public_signs
 
 __all__ = [
     "DERIVED_LEAST",
+    "ReadPicture",
     "ReferenceView",
     "ReferenceViews",
     "Seen",
@@ -111,13 +120,12 @@ class ReferenceView:
     alpha: Float32  # (H, W) its opacity
     mark: Float32  # (H, W, 3) what a mark of public signs adds
     geometry: GrainView | None
-    blur: Blur | None = None  # of the picture that lies over it; `plain` and `mark` have it
+    blur: Blur | None = None  # that `plain`, `alpha` and `mark` went through
 
-    def blurred(self, blur: Blur | None) -> ReferenceView:
-        """This view as a blurred picture shows it; itself where there is no blur."""
-        if blur is None:
-            return self
-        return replace(self, plain=blur.apply(self.plain), mark=blur.apply(self.mark), blur=blur)
+    def blurred(self, blur: Blur) -> ReferenceView:
+        """This sharp view as a picture shows it that was blurred so."""
+        plain, alpha, mark = (blur.apply(image) for image in (self.plain, self.alpha, self.mark))
+        return replace(self, plain=plain, alpha=alpha, mark=mark, blur=blur)
 
     def softened(self, sigma: float) -> ReferenceView:
         """This view as a picture shows it that was blurred by `sigma` pixels."""
@@ -156,28 +164,52 @@ class _Laid:
     behind: Background | None  # what it shows behind the model
 
 
-def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> tuple[PictureEvidence | None, bool]:
-    """Evidence of one picture (h, w, 3) from a known camera, None where it does not fit that camera's view; and whether
-    it was turned over to fit."""
+@dataclass(frozen=True, eq=False)
+class ReadPicture:
+    """What one picture says, and how it had to be looked at for that."""
+
+    evidence: PictureEvidence
+    mirrored: bool = False  # it was turned over
+    blur: Blur | None = None  # it was held against a render blurred so
+
+
+def read_known(image: Float32, camera: Camera, reference: ReferenceViews, *, drawn: bool = False) -> ReadPicture | None:
+    """One picture (h, w, 3) from a known camera, None where it does not fit that camera's view; `drawn` from a suspect
+    model, which no camera blurred."""
     view = reference.at(camera)
     alignment = align_either_hand(view.plain, image)
     if alignment is None:
-        return None, False
-    turned, face = alignment.mirrored, alignment.suspect
-    laid = _blurred(_Laid(view, alignment, None), face)
-    laid = _carried(laid, face, reference, RasterSettings(), False)
-    return laid.view.read(laid.alignment.warped, laid.alignment.mask), turned
+        return None
+    face = alignment.suspect
+    laid = _Laid(view, alignment, None)
+    blur = None if drawn else _blur_of(laid, face)
+    if blur is not None:
+        view = view.blurred(blur)
+        again = align_image(view.plain, face)
+        laid = laid if again is None else _Laid(view, again, None)
+    else:
+        laid = _carried(laid, face, reference, RasterSettings(), False)
+    evidence = laid.view.read(laid.alignment.warped, laid.alignment.mask)
+    return ReadPicture(evidence, alignment.mirrored, laid.view.blur)
 
 
-def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> PictureEvidence | None:
-    """Evidence of a picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
+def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
+    """A picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
     view = reference.at(found.camera, found.settings)
+    laid = _lay_over_background(view, image)
+    blur = None if laid is None else _blur_of(laid, image)
+    if blur is not None:
+        view = _refined_through_blur(view, blur, image, found, reference)
     whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
     if bent is None:
-        return whole
+        return None if whole is None else ReadPicture(whole, found.mirrored, view.blur)
     # No camera says where it is clear, and so what lies behind.
     parts = view.read(bent.warped, bent.mask)
+    return ReadPicture(_more_promising(parts, whole), found.mirrored, view.blur)
+
+
+def _more_promising(parts: PictureEvidence, whole: PictureEvidence | None) -> PictureEvidence:
     return parts if whole is None or parts.promise > whole.promise else whole
 
 
@@ -187,7 +219,8 @@ def _read_whole(
     laid = _lay_over_background(view, image)
     if laid is None:
         return None
-    laid = _carried(_blurred(laid, image), image, reference, found.settings, True)
+    if view.blur is None:
+        laid = _carried(laid, image, reference, found.settings, True)
     alignment, behind = laid.alignment, laid.behind
     if behind is None:
         return laid.view.read(alignment.warped, alignment.mask)
@@ -197,22 +230,37 @@ def _read_whole(
     return laid.view.read(alignment.warped, mask)
 
 
+def _refined_through_blur(
+    view: ReferenceView, blur: Blur, image: Float32, found: FoundCamera, reference: ReferenceViews
+) -> ReferenceView:
+    """The view, blurred as the picture is, from where a render blurred alike explains it: sharp ones lead a camera
+    astray by pixels, and that the blur."""
+    limits, drawing = (REFINEMENTS, REFINED), Drawing(found.settings, blur)
+    refined = refine_level(reference.opened.reference, luma(image), found.camera, *limits, drawing, max_error=1.0)
+    if refined is None or not refined.alike:
+        return view.blurred(blur)
+    near = reference.at(refined.camera, found.settings)
+    laid = _lay_over_background(near.blurred(blur), image)
+    again = None if laid is None else _blur_of(replace(laid, view=near), image)
+    return view.blurred(blur) if again is None else near.blurred(again)
+
+
+def _blur_of(laid: _Laid, image: Float32) -> Blur | None:
+    """How the picture (h, w, 3) was blurred; in its own pixels where it lies nearly as the view does, for a shift is a
+    part of the kernel, and what is not resampled reads better."""
+    alignment, view = laid.alignment, laid.view
+    picture, mask = alignment.warped, alignment.mask
+    if image.shape == view.plain.shape and near_still(alignment.matrix, image.shape):
+        picture = image
+    if laid.behind is not None:
+        picture, mask = picture - laid.behind.through, mask & laid.behind.trusted
+    return find_blur(luma(view.plain), luma(picture), mask)
+
+
 def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
     behind = find_background(image, view.alpha)
     alignment = align_near(view.plain, image if behind is None else image - behind.through)
     return None if alignment is None else _Laid(view, alignment, behind)
-
-
-def _blurred(laid: _Laid, image: Float32) -> _Laid:
-    """The same with the view as blurred as the picture is, and the picture laid over that anew."""
-    through = np.float32(0.0) if laid.behind is None else laid.behind.through
-    blur = find_blur(laid.view.plain, laid.alignment.warped, laid.alignment.mask)
-    if blur is None:
-        return laid
-    view = laid.view.blurred(blur)
-    mirrored = np.linalg.det(laid.alignment.matrix[:2, :2]) < 0
-    near = None if mirrored or image.shape != view.plain.shape else align_near(view.plain, image - through)
-    return _Laid(view, near or laid.alignment, laid.behind)
 
 
 def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: RasterSettings, over: bool) -> _Laid:
@@ -237,7 +285,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
             there = carried(camera, matrix, width, height)
             if there is None:
                 break
-            view = reference.at(there, drawn).blurred(laid.view.blur)
+            view = reference.at(there, drawn)
             behind = find_background(image, view.alpha) if over else None
             through = np.float32(0.0) if behind is None else behind.through
             near = align_upright(view.plain, image - through)
@@ -423,16 +471,22 @@ def read_renders(
         it = "its mirror image" if place.mirrored else "it"
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
         for sighting in place.sightings:
-            said = _added(said, read_known(sighting.picture, sighting.found, reference)[0])
+            said = _added(said, _drawn(sighting.picture, sighting.found, reference))
     for number, camera in enumerate(cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.alike:
-            said = _added(said, read_known(picture, refined.camera, reference)[0])
+            said = _added(said, _drawn(picture, refined.camera, reference))
         clock.advance((number + 1) / len(cameras))
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
+
+
+def _drawn(picture: Float32, camera: Camera, reference: ReferenceViews) -> PictureEvidence | None:
+    """What a render of a suspect model says."""
+    read = read_known(picture, camera, reference, drawn=True)
+    return None if read is None else read.evidence
 
 
 def _read_placed(
@@ -497,23 +551,30 @@ def read_pictures(
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
-            last, camera, turned = found, found.of_whole(image), found.mirrored
+            last, camera = found, found.of_whole(image)
             with clock.stage("read picture"):
-                evidence = read_found(found.face(image), found, reference)
+                read = read_found(found.face(image), found, reference)
         else:
             with clock.stage("read picture"):
-                evidence, turned = read_known(image, camera, reference)
-        if evidence is None:
+                read = read_known(image, camera, reference)
+        if read is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
             continue
-        said.add(number, evidence)
+        said.add(number, read.evidence)
         seen[number] = camera
-        if turned:
-            notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
+        notes += _looked_at(number, read)
     together, odd = said.agreed()
     notes += [LEFT_OUT.format(number + 1) for number in odd]
     scattered = _nothing(opened) if together is None else together.by_scatter(opened.strength)
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
+
+
+def _looked_at(number: int, read: ReadPicture) -> Iterator[str]:
+    """How a picture had to be looked at, for the reader of the claim."""
+    if read.mirrored:
+        yield f"mirrored: picture {number + 1} was turned over before it was read"
+    if read.blur is not None:
+        yield f"blurred: picture {number + 1} was held against renders blurred alike ({read.blur.described})"
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:

@@ -5,7 +5,8 @@
 1. Strongest keypoint candidates. Keypoints of the picture are matched to landmarks of the record; PnP-RANSAC over a
    ladder of focal lengths gives a camera, which is refined on a small picture. If that does not settle it, the
    candidate of the picture's mirror image competes.
-2. Full size at once, for a settled candidate that nearly explains the small picture.
+2. Full size at once, for a settled candidate that nearly explains the small picture. Where that does not explain the
+   picture, it may be blurred (`alignment.blur`): the camera is refined on renders blurred alike.
 3. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
 4. A page around the viewer (`viewer_frame`): the search begins again within the frame.
 5. The camera of step 2 or 4, if there is one, is the result.
@@ -29,13 +30,14 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
+from engine.pictures.alignment.blur import Blur
 from engine.pictures.camera.camera_motion import PARAMETERS
 from engine.pictures.camera.camera_proposals import Candidate, Candidates
 from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.found_camera import FoundCamera
-from engine.pictures.camera.pose_refinement import Refined
+from engine.pictures.camera.pose_refinement import LEAST_CORRELATION, Refined
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
 
@@ -144,9 +146,33 @@ def _first_look(picture: Picture, keypoint_candidates: Mapping[bool, Iterator[Ca
             best = _best_candidate(picture, [mirrored], best)
             strongest = mirrored if strongest is None or mirrored.support > strongest.support else strongest
     look = _FirstLook(strongest, best)
-    if best is None or not best.settled or look.explained or best.uncovered_correlation <= CONFIG.nearly_explained:
+    if best is None or (best.settled and look.explained) or best.uncovered_correlation <= LEAST_CORRELATION:
         return look
-    return replace(look, full=_refine_to_full_size(picture, best))
+    if best.settled and best.uncovered_correlation > CONFIG.nearly_explained:
+        look = replace(look, full=_refine_to_full_size(picture, best))
+        if look.explained:
+            return look
+    blurred = _refine_through_blur(picture, best)
+    return look if blurred is None else replace(look, full=blurred)
+
+
+def _refine_through_blur(picture: Picture, candidate: Candidate) -> FoundCamera | None:
+    """The camera of a blurred picture at full size, on renders blurred alike; None where it is not blurred, or not
+    explained so either."""
+    side = min(max(picture.size), CONFIG.full_level.side)
+    level = replace(CONFIG.full_level, side=side)
+    turned, settings = candidate.mirrored, candidate.settings
+    refine = partial(picture.refined, mirrored=turned, settings=settings)
+    refined = refine(candidate.camera, replace(level, iterations=CONFIG.blur_iterations), max_error=candidate.max_error)
+    for _ in range(CONFIG.blur_rounds):
+        blur = None if refined is None else picture.blur(refined, turned, settings)
+        if refined is None or blur is None:
+            return None
+        refined = refine(picture.full(refined.camera), level, max_error=1.0 / side, blur=blur)
+    if refined is None or not refined.alike:
+        return None
+    found = _as_found(picture, candidate, refined, settings)
+    return found if _explained(found) else None
 
 
 def _with_square_pixels(
@@ -235,13 +261,19 @@ def _refine_small(picture: Picture, proposed: Candidate) -> tuple[Candidate, Ref
 
 
 def _with_better_settings(
-    picture: Picture, refined: Refined, level: Level, mirrored: bool, settings: RasterSettings, other: RasterSettings
+    picture: Picture,
+    refined: Refined,
+    level: Level,
+    mirrored: bool,
+    settings: RasterSettings,
+    other: RasterSettings,
+    blur: Blur | None = None,
 ) -> tuple[Refined, RasterSettings]:
     """The camera refined on renders with these settings, or with the `other` ones where that explains the picture
-    clearly better; and the settings of the better."""
+    clearly better; and the settings of the better. Renders are blurred as the picture is known to be."""
     camera = picture.full(refined.camera)
     max_error = CONFIG.error_per_step * refined.step / min(level.side, max(picture.size))
-    attempt = partial(picture.refined, camera, mirrored=mirrored, settings=other, max_error=max_error)
+    attempt = partial(picture.refined, camera, mirrored=mirrored, settings=other, max_error=max_error, blur=blur)
     glance = attempt(replace(level, iterations=1))
     if glance is not None and glance.gain > CONFIG.glance_better * refined.gain:
         again = attempt(level)
@@ -276,14 +308,24 @@ def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera 
         if shifted is not None and shifted.gain > CONFIG.clearly_better * refined.gain:
             refined = shifted
     other = replace(settings, antialiased=not picture.model.antialiased)
-    refined, settings = _with_better_settings(picture, refined, full_level, candidate.mirrored, settings, other)
+    judge = partial(_with_better_settings, picture, level=full_level, mirrored=candidate.mirrored, other=other)
+    better, drawn = judge(refined, settings=settings)
+    blur = None if drawn == settings else picture.blur(refined, candidate.mirrored, settings)
+    if blur is not None:  # blurred renders look antialiased
+        sharper = picture.refined(camera, full_level, mirrored=candidate.mirrored, settings=settings, blur=blur)
+        better, drawn = judge(sharper or refined, settings=settings, blur=blur)
+    return _as_found(picture, candidate, better, drawn)
+
+
+def _as_found(picture: Picture, candidate: Candidate, refined: Refined, settings: RasterSettings) -> FoundCamera:
+    """A candidate's camera as refined at full size."""
     return FoundCamera(
         camera=picture.full(refined.camera),
         inliers=candidate.support,
         rms=refined.rms,
         correlation=refined.correlation,
         step=refined.step,
-        gain=refined.gain * (own / full_side) ** 2,
+        gain=refined.gain * (max(picture.size) / max(refined.camera.width, refined.camera.height)) ** 2,
         uncovered_correlation=refined.uncovered_correlation,
         mirrored=candidate.mirrored,
         settings=settings,

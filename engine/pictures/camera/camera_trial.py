@@ -6,13 +6,14 @@ import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
-from engine.pictures.alignment.background import fill_background
+from engine.pictures.alignment.background import CLEAR, fill_background
+from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.camera.camera_motion import CENTERED
 from engine.pictures.camera.config import Level
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import match_closer
 from engine.pictures.camera.pose_ransac import Hypothesis
-from engine.pictures.camera.pose_refinement import Refined, refine_level
+from engine.pictures.camera.pose_refinement import Drawing, Refined, refine_level
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
@@ -48,16 +49,33 @@ class Picture:
         settings: RasterSettings = DEFAULT_SETTINGS,
         free: int = CENTERED,
         max_error: float = np.inf,
+        blur: Blur | None = None,
     ) -> Refined | None:
         """The camera refined on the picture reduced to a level; see `refine_level`. `max_error` is in longer sides of
-        the picture."""
+        the picture, `blur` in the level's pixels."""
         gray = self.grays[mirrored]
         small = camera.with_side(min(level.side, max(gray.shape)))
         picture = resized(gray, small.width, small.height)
         max_pixels = max_error * max(small.width, small.height)
         return refine_level(
-            self.model, picture, small, level.iterations, level.tolerance, settings, free=free, max_error=max_pixels
+            self.model,
+            picture,
+            small,
+            level.iterations,
+            level.tolerance,
+            Drawing(settings, blur),
+            free=free,
+            max_error=max_pixels,
         )
+
+    def blur(self, refined: Refined, mirrored: bool, settings: RasterSettings) -> Blur | None:
+        """How the picture of a level's size was blurred, as its render from a camera refined there tells."""
+        camera = refined.camera
+        picture = resized(self.grays[mirrored], camera.width, camera.height)
+        image, alpha, _ = render_depth(self.model, camera, settings=settings)
+        behind = fill_background(picture, alpha)
+        own = picture if behind is None else picture - (1.0 - alpha) * behind
+        return find_blur(luma(image), own, alpha > CLEAR)
 
     def full(self, camera: Camera) -> Camera:
         """The camera at the picture's size: square pixels, which rounding of a level's size may have bent."""

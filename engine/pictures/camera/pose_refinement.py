@@ -20,13 +20,15 @@ from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.pictures.alignment.background import MARGIN, fill_background
+from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.brightness_fit import robust_line, robust_scale
 from engine.pictures.alignment.detail import compare_detail, correlation, uncovered
 from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved
+from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["LEAST_CORRELATION", "Refined", "refine_level"]
+__all__ = ["LEAST_CORRELATION", "Drawing", "Refined", "refine_level"]
 
 BLUR = 0.8
 """Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
@@ -60,6 +62,14 @@ MEMORY = 2
 MOST_EXTRAPOLATION = 30.0
 """The acceleration goes at most this many times as far as the last step."""
 _UNKNOWNS = PARAMETERS + 2
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """How a render is made like a picture: the renderer's settings, and the blur that the picture is known to have."""
+
+    settings: RasterSettings = DEFAULT_SETTINGS
+    blur: Blur | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +140,7 @@ def refine_level(
     camera: Camera,
     iterations: int,
     tolerance: float,
-    settings: RasterSettings = RasterSettings(),
+    drawing: Drawing = Drawing(),
     *,
     free: int = CENTERED,
     max_error: float = np.inf,
@@ -139,18 +149,20 @@ def refine_level(
     the picture.
 
     `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
-    the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders; so many
+    the motion's root mean square flow is below `tolerance` pixels. `drawing` tells how renders are made; so many
     parameters of the motion are `free`, by default all but the principal point. A camera known to be off by at most
     `max_error` pixels is spared the wider blurs.
     """
-    gain, offset, step, blur = 1.0, 0.0, max_error, 2.0 * min(max_error, WIDEST_BLUR)
+    gain, offset, step, width = 1.0, 0.0, max_error, 2.0 * min(max_error, WIDEST_BLUR)
     memory = Acceleration()
     for iteration in range(iterations):
-        image, alpha, depth = render_depth(model, camera, settings=settings)
-        blur = min(max(step, 0.5 * blur, BLUR), WIDEST_BLUR)
+        image, alpha, depth = render_depth(model, camera, settings=drawing.settings)
+        if drawing.blur is not None:
+            image, alpha = drawing.blur.apply(image), drawing.blur.apply(alpha)
+        width = min(max(step, 0.5 * width, BLUR), WIDEST_BLUR)
         behind = _behind(picture, alpha, step)
-        seen, base = smooth(picture - (1.0 - alpha) * behind, blur), smooth(luma(image), blur)
-        cover = smooth(alpha, blur)
+        seen, base = smooth(picture - (1.0 - alpha) * behind, width), smooth(luma(image), width)
+        cover = smooth(alpha, width)
         weight = _weights(alpha, depth, picture)
         used = weight > 0
         if used.sum() < LEAST_PIXELS:
@@ -161,7 +173,7 @@ def refine_level(
         toned = np.float32(gain) * base + np.float32(offset) * cover
         residual = seen - toned
         spread = robust_scale(residual[used])
-        outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
+        outlying = 2.5 * spread if width == BLUR else max(2.5 * spread, TRUSTED)
         # The background stands still when the camera moves; what covers it moves.
         gy, gx = np.gradient(toned)
         by, bx = np.gradient(cover)
@@ -190,12 +202,12 @@ def refine_level(
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
             return None
-        move = memory.improve(motion, flow, step) if blur == BLUR else motion
+        move = memory.improve(motion, flow, step) if width == BLUR else motion
         if not np.abs(move).max() < FARTHEST:
             return None  # a picture of something else: motions that hardly show run away
         camera = moved(camera, move, unit)
         gain, offset = gain + brightness[0], offset + brightness[1]
-        if step < tolerance and blur == BLUR:
+        if step < tolerance and width == BLUR:
             break
     freed = _solve(system, PARAMETERS)[0]
     shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))

@@ -1,0 +1,139 @@
+"""Pictures that a moving camera or a lens blurred: their camera is found, and they say nearly what sharp ones do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.verify import suspect_evidence
+from engine.flows.verify.search import Verification, verify_images
+from engine.flows.views.camera_rig import make_rig, measure_extent
+from engine.lab.evaluate.bench.attacks import to_8_bit
+from engine.lab.evaluate.marked_scene import MarkedScene
+from engine.lab.evaluate.null.wrong_keys import wrong_key_z
+from engine.lab.sim.attacks import image_attack
+from engine.model import Camera, Float32, look_at
+from engine.pictures.landmarks.rendered_landmarks import make_landmarks
+from engine.raster import render
+from engine.watermark.statistics import z_threshold
+from tests.pictures.plant_views import jpeg, reprojection
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
+
+
+@pytest.fixture(scope="module")
+def with_landmarks(scene: MarkedScene) -> OpenedRecord:
+    reference = scene.opened.reference
+    return replace(scene.opened, landmarks=make_landmarks(reference, make_rig(reference, 16, 640, 480)))
+
+
+@pytest.fixture(scope="module")
+def camera(scene: MarkedScene) -> Camera:
+    """A view without key."""
+    extent = measure_extent(scene.marked)
+    eye = extent.center + 3.0 * extent.radius * np.array([0.8, -0.5, 0.6])
+    return look_at(eye, extent.center, (0, -1, 0), 800.0, 800, 600)
+
+
+@pytest.fixture(scope="module")
+def sharp(scene: MarkedScene, camera: Camera) -> Float32:
+    return np.clip(render(scene.marked, camera), 0.0, 1.0)
+
+
+def moved(image: Float32, length: float) -> Float32:
+    return to_8_bit(image_attack("motion_blur").apply(image, length, rng=np.random.default_rng(3)))
+
+
+def defocused(image: Float32, sigma: float) -> Float32:
+    return to_8_bit(cv2.GaussianBlur(image, (0, 0), sigma))
+
+
+@pytest.mark.parametrize(
+    ("blur", "strength", "kind"),
+    [
+        (moved, 10.0, "along a line"),
+        (moved, 15.0, "along a line"),
+        pytest.param(defocused, 2.0, "by a spot", marks=pytest.mark.long),
+        (defocused, 3.0, "by a spot"),
+    ],
+)
+def test_a_blurred_picture_claims_by_itself(
+    with_landmarks: OpenedRecord,
+    sharp: Float32,
+    camera: Camera,
+    monkeypatch: pytest.MonkeyPatch,
+    blur: Callable[[Float32, float], Float32],
+    strength: float,
+    kind: str,
+) -> None:
+    picture = blur(sharp, strength)
+    read = verify_images([picture], with_landmarks)
+    assert read.claim.verdict.value == "marked"
+    assert read.claim.z > z_threshold(2.0**-128, read.claim.tries)
+    assert any(note.startswith("blurred: picture 1") and kind in note for note in read.claim.notes)
+    assert read.cameras[0] is not None
+    assert reprojection(with_landmarks.reference, camera, read.cameras[0]) < 0.5
+    monkeypatch.setattr(suspect_evidence, "find_blur", lambda *_: None)
+    before = verify_images([picture], with_landmarks, cameras=[camera])
+    assert read.claim.z > FACTOR[kind] * before.claim.z
+
+
+FACTOR = {"along a line": 1.5, "by a spot": 1.5}
+
+
+def known(picture: Float32, opened: OpenedRecord, camera: Camera) -> Verification:
+    return verify_images([picture], opened, cameras=[camera])
+
+
+def test_what_is_not_blurred_is_read_as_before(
+    scene: MarkedScene, sharp: Float32, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = [to_8_bit(sharp), jpeg(sharp, 50), jpeg(sharp, 10)]
+    now = [known(picture, scene.opened, camera) for picture in pictures]
+    monkeypatch.setattr(suspect_evidence, "find_blur", lambda *_: None)
+    for picture, one in zip(pictures, now, strict=True):
+        assert one.evidence.y.tobytes() == known(picture, scene.opened, camera).evidence.y.tobytes()
+        assert one.claim.notes == ()
+
+
+def test_a_blurred_jpeg_is_read_through_its_coder_and_its_blur(
+    scene: MarkedScene, sharp: Float32, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = jpeg(moved(sharp, 10.0), 90)
+    read = known(picture, scene.opened, camera).claim
+    monkeypatch.setattr(suspect_evidence, "find_blur", lambda *_: None)
+    assert read.z > 1.5 * known(picture, scene.opened, camera).claim.z
+
+
+def test_a_blurred_picture_of_the_original_makes_no_claim(scene: MarkedScene, camera: Camera) -> None:
+    picture = moved(np.clip(render(scene.original, camera), 0.0, 1.0), 12.0)
+    claim = known(picture, scene.opened, camera).claim
+    assert any(note.startswith("blurred") for note in claim.notes)
+    assert claim.verdict.value != "marked"
+    assert abs(claim.z) < 5.0
+
+
+def test_wrong_keys_stay_below_the_bound(scene: MarkedScene, sharp: Float32, camera: Camera) -> None:
+    evidence = known(moved(sharp, 15.0), scene.opened, camera).evidence
+    keys = 2_000
+    z = wrong_key_z(evidence.y, evidence.weights, bytes(range(32)), keys)
+    for exponent in (1.0, 1.5, 2.0):
+        bound = 10.0**-exponent
+        assert (z >= z_threshold(bound)).sum() <= bound * keys + 5 * np.sqrt(bound * keys)
+    assert z.std() == pytest.approx(1.0, abs=0.1)
+    assert z.max() < z_threshold(1e-9, keys)
+
+
+def test_what_was_drawn_here_is_never_taken_for_blurred(scene: MarkedScene, sharp: Float32, camera: Camera) -> None:
+    """A thief's smooth model is not a sharp one behind a lens."""
+    reference, picture = suspect_evidence.ReferenceViews(scene.opened), defocused(sharp, 2.0)
+    seen, drawn = (suspect_evidence.read_known(picture, camera, reference, drawn=each) for each in (False, True))
+    assert seen is not None
+    assert drawn is not None
+    assert seen.blur is not None
+    assert drawn.blur is None
