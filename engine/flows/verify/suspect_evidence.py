@@ -33,12 +33,11 @@ from engine.pictures.alignment.planar import (
     align_near,
     align_upright,
     near_motions,
-    near_still,
 )
 from engine.pictures.camera.camera_motion import carried
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.pose_refinement import Drawing, refine_level
+from engine.pictures.camera.pose_refinement import refine_level
 from engine.pictures.jpeg.block_grid import JpegGrid, find_grid
 from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
@@ -166,51 +165,42 @@ class _Laid:
 
 @dataclass(frozen=True, eq=False)
 class ReadPicture:
-    """What one picture says, and how it had to be looked at for that."""
+    """What one picture says, and how it was read."""
 
     evidence: PictureEvidence
     mirrored: bool = False  # it was turned over
-    blur: Blur | None = None  # it was held against a render blurred so
+    blur: Blur | None = None  # it was compared with a render blurred so
 
 
-def read_known(image: Float32, camera: Camera, reference: ReferenceViews, *, drawn: bool = False) -> ReadPicture | None:
-    """One picture (h, w, 3) from a known camera, None where it does not fit that camera's view; `drawn` from a suspect
-    model, which no camera blurred."""
+def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> ReadPicture | None:
+    """One picture (h, w, 3) from a known camera, None where it does not fit that camera's view."""
     view = reference.at(camera)
     alignment = align_either_hand(view.plain, image)
     if alignment is None:
         return None
-    face = alignment.suspect
-    laid = _Laid(view, alignment, None)
-    blur = None if drawn else _blur_of(laid, face)
-    if blur is not None:
-        view = view.blurred(blur)
-        again = align_image(view.plain, face)
-        laid = laid if again is None else _Laid(view, again, None)
-    else:
+    laid, face = _Laid(view, alignment, None), alignment.suspect
+    blur = find_blur(luma(view.plain), view.alpha, luma(alignment.warped), alignment.mask)
+    if blur is None:
         laid = _carried(laid, face, reference, RasterSettings(), False)
+    else:
+        view = view.blurred(blur)
+        laid = _Laid(view, align_image(view.plain, face) or alignment, None)
     evidence = laid.view.read(laid.alignment.warped, laid.alignment.mask)
-    return ReadPicture(evidence, alignment.mirrored, laid.view.blur)
+    return ReadPicture(evidence, alignment.mirrored, blur)
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
     """A picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
     view = reference.at(found.camera, found.settings)
-    laid = _lay_over_background(view, image)
-    blur = None if laid is None else _blur_of(laid, image)
+    blur = find_blur(luma(view.plain), view.alpha, luma(image))
     if blur is not None:
-        view = _refined_through_blur(view, blur, image, found, reference)
+        view = view.blurred(blur)
     whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
-    if bent is None:
-        return None if whole is None else ReadPicture(whole, found.mirrored, view.blur)
-    # No camera says where it is clear, and so what lies behind.
-    parts = view.read(bent.warped, bent.mask)
-    return ReadPicture(_more_promising(parts, whole), found.mirrored, view.blur)
-
-
-def _more_promising(parts: PictureEvidence, whole: PictureEvidence | None) -> PictureEvidence:
-    return parts if whole is None or parts.promise > whole.promise else whole
+    if bent is not None:  # no camera says where it is clear, and so what lies behind
+        parts = view.read(bent.warped, bent.mask)
+        whole = parts if whole is None or parts.promise > whole.promise else whole
+    return None if whole is None else ReadPicture(whole, found.mirrored, blur)
 
 
 def _read_whole(
@@ -228,33 +218,6 @@ def _read_whole(
     if alignment.still:  # as its coder saw it
         return laid.view.read(image, mask, behind.through)
     return laid.view.read(alignment.warped, mask)
-
-
-def _refined_through_blur(
-    view: ReferenceView, blur: Blur, image: Float32, found: FoundCamera, reference: ReferenceViews
-) -> ReferenceView:
-    """The view, blurred as the picture is, from where a render blurred alike explains it: sharp ones lead a camera
-    astray by pixels, and that the blur."""
-    limits, drawing = (REFINEMENTS, REFINED), Drawing(found.settings, blur)
-    refined = refine_level(reference.opened.reference, luma(image), found.camera, *limits, drawing, max_error=1.0)
-    if refined is None or not refined.alike:
-        return view.blurred(blur)
-    near = reference.at(refined.camera, found.settings)
-    laid = _lay_over_background(near.blurred(blur), image)
-    again = None if laid is None else _blur_of(replace(laid, view=near), image)
-    return view.blurred(blur) if again is None else near.blurred(again)
-
-
-def _blur_of(laid: _Laid, image: Float32) -> Blur | None:
-    """How the picture (h, w, 3) was blurred; in its own pixels where it lies nearly as the view does, for a shift is a
-    part of the kernel, and what is not resampled reads better."""
-    alignment, view = laid.alignment, laid.view
-    picture, mask = alignment.warped, alignment.mask
-    if image.shape == view.plain.shape and near_still(alignment.matrix, image.shape):
-        picture = image
-    if laid.behind is not None:
-        picture, mask = picture - laid.behind.through, mask & laid.behind.trusted
-    return find_blur(luma(view.plain), luma(picture), mask)
 
 
 def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
@@ -471,22 +434,18 @@ def read_renders(
         it = "its mirror image" if place.mirrored else "it"
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
         for sighting in place.sightings:
-            said = _added(said, _drawn(sighting.picture, sighting.found, reference))
+            read = read_known(sighting.picture, sighting.found, reference)
+            said = _added(said, read and read.evidence)
     for number, camera in enumerate(cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.alike:
-            said = _added(said, _drawn(picture, refined.camera, reference))
+            read = read_known(picture, refined.camera, reference)
+            said = _added(said, read and read.evidence)
         clock.advance((number + 1) / len(cameras))
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
-
-
-def _drawn(picture: Float32, camera: Camera, reference: ReferenceViews) -> PictureEvidence | None:
-    """What a render of a suspect model says."""
-    read = read_known(picture, camera, reference, drawn=True)
-    return None if read is None else read.evidence
 
 
 def _read_placed(
@@ -562,19 +521,21 @@ def read_pictures(
             continue
         said.add(number, read.evidence)
         seen[number] = camera
-        notes += _looked_at(number, read)
+        notes += _how_read(number, read)
     together, odd = said.agreed()
     notes += [LEFT_OUT.format(number + 1) for number in odd]
     scattered = _nothing(opened) if together is None else together.by_scatter(opened.strength)
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
 
 
-def _looked_at(number: int, read: ReadPicture) -> Iterator[str]:
-    """How a picture had to be looked at, for the reader of the claim."""
+def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
+    """How a picture was read, for the reader of the claim."""
     if read.mirrored:
         yield f"mirrored: picture {number + 1} was turned over before it was read"
     if read.blur is not None:
-        yield f"blurred: picture {number + 1} was held against renders blurred alike ({read.blur.described})"
+        long, short = read.blur.widths
+        how = f"standard deviations {long:.1f} and {short:.1f} pixels"
+        yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:

@@ -21,7 +21,7 @@ from engine.pictures.alignment.brightness_fit import Fit, fit_warp, still_rms
 from engine.pictures.alignment.uneven_light import predict_brightness
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma, match_within
 
-__all__ = ["Alignment", "align_either_hand", "align_image", "align_near", "align_upright", "near_motions", "near_still"]
+__all__ = ["Alignment", "align_either_hand", "align_image", "align_near", "align_upright", "near_motions"]
 
 KEYPOINTS = 2000
 """SIFT keypoints an image."""
@@ -206,11 +206,6 @@ def _is_still(gray: Float32, suspect: Float32, fit: Fit) -> bool:
     if largest < SNAP_PIXELS:
         return True
     return largest < SNAP_FAR and fit.rms > PERSPECTIVE_GAIN * still_rms(gray, suspect, fit)
-
-
-def near_still(matrix: Float64, shape: tuple[int, ...]) -> bool:
-    """Whether a motion (3, 3) of a picture of this shape may be nothing but what blur makes up."""
-    return _largest_motion(matrix, *shape[:2]) < WHOLE_PIXELS
 
 
 def _largest_motion(matrix: Float64, height: int, width: int) -> float:

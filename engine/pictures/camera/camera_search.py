@@ -5,16 +5,15 @@
 1. Strongest keypoint candidates. Keypoints of the picture are matched to landmarks of the record; PnP-RANSAC over a
    ladder of focal lengths gives a camera, which is refined on a small picture. If that does not settle it, the
    candidate of the picture's mirror image competes.
-2. Full size at once, for a settled candidate that nearly explains the small picture. Where that does not explain the
-   picture, it may be blurred (`alignment.blur`): the camera is refined on renders blurred alike.
+2. Full size at once, for a settled candidate that nearly explains the small picture, or where the picture is blurred.
 3. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
 4. A page around the viewer (`viewer_frame`): the search begins again within the frame.
 5. The camera of step 2 or 4, if there is one, is the result.
 6. All other keypoint candidates.
 7. Views of the bank that keypoints vote for (`voted_views`).
 8. Outlines, edges and colors of many views (`view_search`), and a climb from the best (`view_climb`).
-9. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, to about a
-   hundredth of a pixel.
+9. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, blurred as the
+   picture is (`alignment.blur`), to about a hundredth of a pixel.
 
 A picture of another scene fails at the correlation with the render, or at the correlation of their details
 (`Refined.alike`). Nothing here sees a key or a chip.
@@ -37,7 +36,7 @@ from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.found_camera import FoundCamera
-from engine.pictures.camera.pose_refinement import LEAST_CORRELATION, Refined
+from engine.pictures.camera.pose_refinement import Refined
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
 
@@ -146,33 +145,13 @@ def _first_look(picture: Picture, keypoint_candidates: Mapping[bool, Iterator[Ca
             best = _best_candidate(picture, [mirrored], best)
             strongest = mirrored if strongest is None or mirrored.support > strongest.support else strongest
     look = _FirstLook(strongest, best)
-    if best is None or (best.settled and look.explained) or best.uncovered_correlation <= LEAST_CORRELATION:
+    if best is None or not best.settled or look.explained:
         return look
-    if best.settled and best.uncovered_correlation > CONFIG.nearly_explained:
-        look = replace(look, full=_refine_to_full_size(picture, best))
-        if look.explained:
-            return look
-    blurred = _refine_through_blur(picture, best)
-    return look if blurred is None else replace(look, full=blurred)
-
-
-def _refine_through_blur(picture: Picture, candidate: Candidate) -> FoundCamera | None:
-    """The camera of a blurred picture at full size, on renders blurred alike; None where it is not blurred, or not
-    explained so either."""
-    side = min(max(picture.size), CONFIG.full_level.side)
-    level = replace(CONFIG.full_level, side=side)
-    turned, settings = candidate.mirrored, candidate.settings
-    refine = partial(picture.refined, mirrored=turned, settings=settings)
-    refined = refine(candidate.camera, replace(level, iterations=CONFIG.blur_iterations), max_error=candidate.max_error)
-    for _ in range(CONFIG.blur_rounds):
-        blur = None if refined is None else picture.blur(refined, turned, settings)
-        if refined is None or blur is None:
-            return None
-        refined = refine(picture.full(refined.camera), level, max_error=1.0 / side, blur=blur)
-    if refined is None or not refined.alike:
-        return None
-    found = _as_found(picture, candidate, refined, settings)
-    return found if _explained(found) else None
+    if best.uncovered_correlation > CONFIG.nearly_explained:
+        return replace(look, full=_refine_to_full_size(picture, best))
+    blur = picture.blur(best.camera, CONFIG.full_level, best.mirrored, best.settings)
+    full = None if blur is None else _refine_to_full_size(picture, best)
+    return replace(look, full=full) if full is not None and _explained(full) else look
 
 
 def _with_square_pixels(
@@ -298,34 +277,36 @@ def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera 
     camera, settings, max_error = candidate.camera, candidate.settings, candidate.max_error
     between = [level for level in CONFIG.small_levels if candidate.side < level.side < own]
     for level in [*between, replace(full_level, side=full_side)]:
-        refined = picture.refined(camera, level, mirrored=candidate.mirrored, settings=settings, max_error=max_error)
+        refined, blur = picture.refined_through_blur(
+            camera, level, mirrored=candidate.mirrored, settings=settings, max_error=max_error
+        )
         if refined is None or not refined.alike:
             return None
         camera, max_error = picture.full(refined.camera), CONFIG.error_per_step * refined.step / level.side
     assert refined is not None  # there is always a last level
     if refined.shift > CONFIG.principal_point_step:  # without its principal point a camera is wrong in all else
-        shifted = picture.refined(camera, full_level, mirrored=candidate.mirrored, settings=settings, free=PARAMETERS)
+        shifted = picture.refined(
+            camera, full_level, mirrored=candidate.mirrored, settings=settings, free=PARAMETERS, blur=blur
+        )
         if shifted is not None and shifted.gain > CONFIG.clearly_better * refined.gain:
             refined = shifted
     other = replace(settings, antialiased=not picture.model.antialiased)
-    judge = partial(_with_better_settings, picture, level=full_level, mirrored=candidate.mirrored, other=other)
-    better, drawn = judge(refined, settings=settings)
-    blur = None if drawn == settings else picture.blur(refined, candidate.mirrored, settings)
-    if blur is not None:  # blurred renders look antialiased
-        sharper = picture.refined(camera, full_level, mirrored=candidate.mirrored, settings=settings, blur=blur)
-        better, drawn = judge(sharper or refined, settings=settings, blur=blur)
-    return _as_found(picture, candidate, better, drawn)
-
-
-def _as_found(picture: Picture, candidate: Candidate, refined: Refined, settings: RasterSettings) -> FoundCamera:
-    """A candidate's camera as refined at full size."""
+    refined, settings = _with_better_settings(
+        picture,
+        refined,
+        full_level,
+        candidate.mirrored,
+        settings,
+        other,
+        blur,  # blurred pictures look antialiased
+    )
     return FoundCamera(
         camera=picture.full(refined.camera),
         inliers=candidate.support,
         rms=refined.rms,
         correlation=refined.correlation,
         step=refined.step,
-        gain=refined.gain * (max(picture.size) / max(refined.camera.width, refined.camera.height)) ** 2,
+        gain=refined.gain * (own / full_side) ** 2,
         uncovered_correlation=refined.uncovered_correlation,
         mirrored=candidate.mirrored,
         settings=settings,

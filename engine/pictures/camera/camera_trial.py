@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
-from engine.pictures.alignment.background import CLEAR, fill_background
+from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.camera.camera_motion import CENTERED
-from engine.pictures.camera.config import Level
+from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import match_closer
 from engine.pictures.camera.pose_ransac import Hypothesis
@@ -53,9 +55,7 @@ class Picture:
     ) -> Refined | None:
         """The camera refined on the picture reduced to a level; see `refine_level`. `max_error` is in longer sides of
         the picture, `blur` in the level's pixels."""
-        gray = self.grays[mirrored]
-        small = camera.with_side(min(level.side, max(gray.shape)))
-        picture = resized(gray, small.width, small.height)
+        small, picture = self._reduced(camera, level, mirrored)
         max_pixels = max_error * max(small.width, small.height)
         return refine_level(
             self.model,
@@ -68,14 +68,32 @@ class Picture:
             max_error=max_pixels,
         )
 
-    def blur(self, refined: Refined, mirrored: bool, settings: RasterSettings) -> Blur | None:
-        """How the picture of a level's size was blurred, as its render from a camera refined there tells."""
-        camera = refined.camera
-        picture = resized(self.grays[mirrored], camera.width, camera.height)
-        image, alpha, _ = render_depth(self.model, camera, settings=settings)
-        behind = fill_background(picture, alpha)
-        own = picture if behind is None else picture - (1.0 - alpha) * behind
-        return find_blur(luma(image), own, alpha > CLEAR)
+    def blur(self, camera: Camera, level: Level, mirrored: bool, settings: RasterSettings) -> Blur | None:
+        """How the picture reduced to a level is blurred, as the render from a camera near the right one tells."""
+        small, picture = self._reduced(camera, level, mirrored)
+        image, alpha, _ = render_depth(self.model, small, settings=settings)
+        return find_blur(luma(image), alpha, picture)
+
+    def refined_through_blur(
+        self, camera: Camera, level: Level, *, mirrored: bool, settings: RasterSettings, max_error: float
+    ) -> tuple[Refined | None, Blur | None]:
+        """As `refined`, on renders blurred as the picture is: sharp ones lead its camera astray by pixels, and that the
+        blur. And the blur, None where there is none."""
+        refine = partial(self.refined, level=level, mirrored=mirrored, settings=settings)
+        refined, blur = refine(camera, max_error=max_error), None
+        for _ in range(CONFIG.blur_rounds):
+            found = None if refined is None else self.blur(refined.camera, level, mirrored, settings)
+            if refined is None or found is None:
+                break
+            max_error = CONFIG.error_per_step * refined.step / level.side
+            refined, blur = refine(self.full(refined.camera), max_error=max_error, blur=found), found
+        return refined, blur
+
+    def _reduced(self, camera: Camera, level: Level, mirrored: bool) -> tuple[Camera, Float32]:
+        """A camera and the brightness of the picture (H, W) at a level."""
+        gray = self.grays[mirrored]
+        small = camera.with_side(min(level.side, max(gray.shape)))
+        return small, resized(gray, small.width, small.height)
 
     def full(self, camera: Camera) -> Camera:
         """The camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
