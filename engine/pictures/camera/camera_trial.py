@@ -11,7 +11,7 @@ from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.camera.camera_motion import CENTERED
-from engine.pictures.camera.config import CONFIG, Level
+from engine.pictures.camera.config import Level
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import match_closer
 from engine.pictures.camera.pose_ransac import Hypothesis
@@ -80,14 +80,11 @@ class Picture:
         """As `refined`, on renders blurred as the picture is: sharp ones lead its camera astray by pixels, and that the
         blur. And the blur, None where there is none."""
         refine = partial(self.refined, level=level, mirrored=mirrored, settings=settings)
-        refined, blur = refine(camera, max_error=max_error), None
-        for _ in range(CONFIG.blur_rounds):
-            found = None if refined is None else self.blur(refined.camera, level, mirrored, settings)
-            if refined is None or found is None:
-                break
-            max_error = CONFIG.error_per_step * refined.step / level.side
-            refined, blur = refine(self.full(refined.camera), max_error=max_error, blur=found), found
-        return refined, blur
+        refined = refine(camera, max_error=max_error)
+        blur = None if refined is None else self.blur(refined.camera, level, mirrored, settings)
+        if refined is None or blur is None:
+            return refined, None
+        return refine(self.full(refined.camera), max_error=1.0 / level.side, blur=blur), blur
 
     def _reduced(self, camera: Camera, level: Level, mirrored: bool) -> tuple[Camera, Float32]:
         """A camera and the brightness of the picture (H, W) at a level."""

@@ -138,7 +138,6 @@ class CameraSearchConfig:
     small_levels: tuple[Level, Level] = (Level(256, 8, 0.05), Level(640, 8, 0.05))
     full_level: Level = Level(1600, 12, 0.005)  # or the picture's own size, if that is smaller
     error_per_step: float = 4.0  # a refined camera is off by at most so many last steps: the rest shows slowly
-    blur_rounds: int = 2  # of telling how a picture is blurred, and refining its camera on renders blurred so
     # Step of the principal point from which freeing it is tried, pixels: pictures that it explained 3 % better moved by
     # 0.07 and more, uncropped ones mostly by up to 0.04
     principal_point_step: float = 0.05
