@@ -12,6 +12,7 @@ import pytest
 
 from engine.errors import InputError, MalformedRecordError
 from engine.flows.embed import copy_mark as marking
+from engine.flows.embed.draws import Draws
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.profiles import profile
@@ -181,15 +182,16 @@ def test_copies_share_what_was_drawn_once(small_plant: GaussianModel, first: Emb
 
 @pytest.mark.parametrize("drawn", ["", "cd" * 32])
 def test_copies_of_what_nobody_or_a_service_by_itself_drew_for_stay_so(
-    small_plant: GaussianModel, drawer: Drawer, drawn: str
+    small_plant: GaussianModel, drawer: Drawer, drawn: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A second owner's layer would give both away; and such records claim at 2^-128."""
-    plain = made(small_plant, "a").record
-    if drawn:
-        plain = Record.from_bytes(altered(plain, plan={"commitments": {DRAWN: drawn}}), KEY)
-    before = len(drawer.requests)
+    with monkeypatch.context() as before:
+        before.setattr(Draws, "draw", lambda *_: (drawn, None))
+        plain = made(small_plant, "a").record
+    assert plain.plan.get("commitments") == ({DRAWN: drawn} if drawn else None)
+    asked = len(drawer.requests)
     later = made(small_plant, "b", stamp=drawer, earlier=plain).record
-    assert len(drawer.requests) == before
+    assert len(drawer.requests) == asked
     chips = [open_record(each.to_bytes(KEY), KEY).spreading.chips for each in (plain, later)]
     np.testing.assert_array_equal(*chips)
     opened = open_record(plain.to_bytes(KEY), KEY)
