@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, TypedDict
 
 import sqlalchemy as sa
@@ -48,6 +49,7 @@ def _embed(service: Service, run: Run) -> Reply:
     screening = _screen(service, run, model)
     if screening["disputed"]:
         return {"screening": screening, "kept": {}}
+    draws = draws_for(service.settings)
     return service.do_task(
         run,
         "embed",
@@ -58,11 +60,11 @@ def _embed(service: Service, run: Run) -> Reply:
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
-            "draws": draws_for(service.settings),
+            "draws": draws,
             "earlier": _earlier(service, run),
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
-        lambda question: stamp_to_draw(service.db, service.settings, question),
+        partial(stamp_to_draw, service.db, service.settings) if draws else None,
     ) | {"screening": screening}
 
 
