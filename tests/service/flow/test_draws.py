@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ from service.verifications.flow import verify_flow
 from service.work.tasks import TASKS
 from tests.records.test_timestamps import Authority, serving
 from tests.scenes import sparse_plant
+from tests.service.flow.commands import client_of, mark3dgs
+from tests.service.serving import start
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the time stamps")
 
@@ -201,6 +204,38 @@ def test_without_a_time_stamping_service_claims_need_the_strict_rate(tmp_path: P
         assert (found["claim"]["verdict"], found["claim"]["rate_basis"]) == ("marked", "undated")
         assert found["claim"]["false_claim_rate"] == 2.0**-128
     house.service.close()
+
+
+@pytest.mark.slow
+def test_the_record_proves_it_without_the_service(tmp_path: Path, stamps: Stamps) -> None:
+    """Through the processes of a service: a task asks, the worker answers; the command line checks the stamp."""
+    given = {"TSA_URL": stamps.url, "TSA_CERTIFICATES": str(stamps.certificates)}
+    served = start(tmp_path, **given)
+    try:
+        client = client_of(served, "alice")
+        key = client.call("POST", "/v1/keys", json={"reveal": True})
+        made = client.embed(sparse_plant(), profile="fast", key_id=key["id"], bits=16, copy_name="acme")
+        (tmp_path / "owner.key").write_text(key["key"])
+        (tmp_path / "owner.key").chmod(0o600)
+        client.record(made.asset_id, tmp_path / "scene.record")
+        model = client.download(made.asset_id, tmp_path / "marked.ply", format="ply")
+        files = "--record", str(tmp_path / "scene.record"), "--key", str(tmp_path / "owner.key")
+        trust = "--tsa-certificates", str(stamps.certificates)
+        for more, basis, rate in ((trust, "drawn", 1e-9), ((), "self_declared", 2.0**-128)):
+            done = mark3dgs(served, "verify", str(model), *files, *more, "--json")
+            assert done.returncode == 0, done.stdout + done.stderr
+            told = json.loads(done.stdout)
+            assert (told["rate_basis"], told["false_claim_rate"]) == (basis, rate)
+        assert "no certificate was given" in told["notes"][-1]
+        found = client.verify(model)
+        client.jws(found.claim_id, tmp_path / "claim.jws")
+        (tmp_path / "jwks.json").write_text(json.dumps(client.call("GET", "/.well-known/jwks.json")))
+        report = "verify-report", str(tmp_path / "claim.jws"), "--jwks", str(tmp_path / "jwks.json"), *trust
+        done = mark3dgs(served, *report)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "Test stamps" in done.stdout
+    finally:
+        served.stop()
 
 
 def test_a_stamp_is_asked_for_once_and_must_hold(house: House, stamps: Stamps) -> None:
