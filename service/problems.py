@@ -32,6 +32,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "internal": (500, "A fault of this service"),
     "engine-limit": (500, "The work exceeded its limits"),
     "storage-full": (507, "No space left"),
+    "no-time-stamp": (502, "The time-stamping service gave no stamp"),
     "unavailable": (503, "A part of the service does not answer"),
 }
 """Kind -> (HTTP status, title). The kind is the last part of `type` and never changes its meaning."""

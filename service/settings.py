@@ -65,6 +65,11 @@ class Settings(BaseSettings):
         "", pattern=r"^(https?://[^\s]+)?$", description="Address of this service, as claims and reports name it."
     )
     tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
+    tsa_certificates: str = Field(
+        "",
+        description="File with the certificates (PEM) that vouch for it: records are then drawn for by it, and claims"
+        " need 1 in 10^9; empty: 1 in 2^128.",
+    )
     credentials_certificates: str = Field(
         "", description="File with the certificate chain (PEM) that signs Content Credentials; empty: none are made."
     )

@@ -49,6 +49,7 @@ def serve(
     from engine.credentials.native import require
     from service.app import make_app
     from service.assets.content_credentials import signer_of
+    from service.trust.draws import vouching
 
     console = Console(machine=False)
     _check_free(host, port)
@@ -57,6 +58,7 @@ def serve(
         require()
         until = f"{signer.certificate.not_valid_after_utc:%Y-%m-%d}"
         console.note(f"Content Credentials are signed by {signer.certificate.subject.rfc4514_string()}, until {until}.")
+    vouching(settings)
     count = settings.workers if workers is None else workers
     crew = Crew([f"local-{number}" for number in range(1, count + 1)])
     console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")

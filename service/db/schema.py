@@ -116,6 +116,15 @@ claims = Table(
     Column("names", Text, nullable=False, server_default=""),  # of the files handed in, one a line; not signed
 )
 
+# Time stamps from which a part of a record's plan follows: the same for all copies of an asset, so kept for good.
+draws = Table(
+    "draws",
+    metadata,
+    *_key("request"),  # SHA-256 of what was stamped, hex
+    Column("token", LargeBinary, nullable=False),
+    *_texts("created_at"),
+)
+
 # Addresses under which a claim is seen without an API key; the address itself is nowhere kept.
 shares = Table(
     "shares",

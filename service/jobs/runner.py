@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TypedDict, TypeVar
 from service.jobs.durable_jobs import QUEUE, WORKFLOW, DurableJobs, configuration
 from service.jobs.port import Flow, Job, Run, State, Step
 from service.problems import Problem
-from service.processes import COMMAND, Cancelled, Children, Limits, Reply, Stopped
+from service.processes import COMMAND, Answer, Cancelled, Children, Limits, Reply, Stopped
 from service.settings import Settings
 
 BEAT_SECONDS = 2.0
@@ -128,15 +128,15 @@ class Runner:
                     raise
                 return True  # its progress is not shown and it cannot be stopped, but the work goes on
 
-        def work(task: str, request: Mapping[str, Any]) -> Reply:
+        def work(task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:
             for _ in range(MAX_KILLED - 1):
                 try:
-                    return self._children.run(task, request, folder, go_on)
+                    return self._children.run(task, request, folder, go_on, answer)
                 except Problem as problem:
                     if problem.extra.get("signal") != "SIGKILL":
                         raise
                     _log.warning("job %s: the process of task %s was killed; once more", job.id, task)
-            return self._children.run(task, request, folder, go_on)
+            return self._children.run(task, request, folder, go_on, answer)
 
         folder.mkdir(parents=True)
         try:
