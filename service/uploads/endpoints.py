@@ -100,12 +100,14 @@ async def put_upload(
 ) -> Upload:
     """Send bytes, streamed to disk. After a broken connection, ask for `offset` and continue there.
 
+    Of requests that begin at one offset, one is accepted; the others answer 409 with the `offset` to continue at, and
+    change nothing.
     The upload is complete when `size` bytes have come, or, where no size was announced, with the end of the request.
     A model that cannot be read is refused then.
     """
     row = await asyncio.to_thread(store.get, core, caller.tenant, upload_id)
     if row.state != "open":
-        raise Problem("conflict", f"upload {upload_id!r} is complete")
+        raise Problem("conflict", f"upload {upload_id!r} is complete", offset=row.received)
     if upload_offset != row.received:
         text = f"bytes from {upload_offset} on were sent, {row.received} are here"
         raise Problem("conflict", text, offset=row.received)

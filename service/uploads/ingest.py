@@ -5,7 +5,6 @@ import hashlib
 import json
 import shutil
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,7 +16,7 @@ from service.core import Service
 from service.problems import Problem
 from service.processes import run_once, task_folder
 from service.uploads import store
-from service.uploads.store import check_quota
+from service.uploads.store import Received, check_quota
 
 BATCH = 4 << 20
 """Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""
@@ -26,15 +25,6 @@ WRONG_KIND = {"model": "unreadable-model", "picture": "unreadable-image", "camer
 INSPECTED_BYTES = 256 << 20
 """Larger files are read by their job only."""
 _CHUNK = 1 << 20
-
-
-@dataclass(frozen=True)
-class Received:
-    """What came: bytes, their digest, and whether the client said that was all."""
-
-    length: int
-    sha256: str
-    whole: bool
 
 
 async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Received:
@@ -72,19 +62,22 @@ async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Receiv
 
 
 async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
-    """The row of an upload with the bytes of a request added; once it is complete, with what the file is."""
+    """The row of an upload with the bytes of a request added; once it is complete, with what the file is.
+
+    A request that breaks off leaves what came of it, where the upload's size says that more is to come.
+    """
     room = await asyncio.to_thread(store.room, service, row)
     with service.blobs.new_file() as path:
         got = await receive(stream, path, room)
-        if got.whole and not got.length:
+        if not got.length and got.whole:
             raise Problem("invalid-request", "no bytes were sent")
-        if not got.whole or (row.size is not None and got.length < room):
-            if got.length:
-                await asyncio.to_thread(store.add_part, service, row, path, got.length)
-            return await asyncio.to_thread(store.get, service, row.tenant, row.id)
+        if row.size is None and not got.whole:
+            return row
+        if row.size is not None and got.length < room:
+            return await asyncio.to_thread(store.add_part, service, row, path, got) if got.length else row
         if row.size is None:  # others may have come meanwhile
             await asyncio.to_thread(check_quota, service, row.tenant, got.length)
-        row = await asyncio.to_thread(store.complete, service, row, path, got.length, got.sha256)
+        row = await asyncio.to_thread(store.complete, service, row, path, got)
     return await asyncio.to_thread(inspect, service, row)
 
 
@@ -137,7 +130,7 @@ def _take(service: Service, tenant: str, file: UploadFile) -> Any:
             shutil.copyfileobj(file.file, target, _CHUNK)
         size = path.stat().st_size
         row = store.create(service, tenant, name, size or None, None)
-        return inspect(service, store.complete(service, row, path, size, digest_of(path)))
+        return inspect(service, store.complete(service, row, path, Received(size, digest_of(path), whole=True)))
 
 
 def _whole(service: Service, tenant: str, upload_id: str) -> Any:

@@ -1,11 +1,17 @@
-"""Upload slots: their rows, their parts, and the blob they become; and how much a tenant stores."""
+"""Upload slots: their rows, their parts, and the blob they become; and how much a tenant stores.
+
+A slot's row is the truth: it names the parts that were accepted, each with length and digest. The bytes of a request
+are stored under a name of their own first, and count from the one statement on that moves the row's offset from where
+the request began (compare and set). A request that loses this race, or dies, leaves at most a file that no row names.
+"""
 
 import hashlib
 import json
 import secrets
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import sqlalchemy as sa
 
@@ -18,6 +24,17 @@ from service.problems import Problem
 
 _CHUNK = 4 << 20
 _TEXT = 1024  # bytes that tell JSON from numbers
+PARTS = "upload"
+"""Folder of the store in which the parts of uploads under way lie."""
+
+
+@dataclass(frozen=True)
+class Received:
+    """The body of a request: bytes, their digest, and whether it came to its end."""
+
+    length: int
+    sha256: str
+    whole: bool
 
 
 def create(service: Service, tenant: str, name: str, size: int | None, sha256: str | None) -> Any:
@@ -56,30 +73,32 @@ def room(service: Service, row: Any) -> int:
     return min(limits.max_upload_bytes - int(row.received), left)
 
 
-def add_part(service: Service, row: Any, path: Path, length: int) -> None:
-    """Keep bytes that came from `row.received` on; fails if another request was faster."""
-    name = part_name(row.id, row.received)
+def add_part(service: Service, row: Any, path: Path, got: Received) -> Any:
+    """The row with the bytes from `row.received` on; conflict if another request was faster."""
+    name = f"{PARTS}/{row.id}/{row.received:016d}-{secrets.token_hex(8)}"
     service.blobs.put_part(path, name)
-    parts = json.dumps([*json.loads(row.parts), [row.received, length]])
-    _advance(service, row, received=row.received + length, parts=parts)
+    parts = [*json.loads(row.parts), [name, got.length, got.sha256]]
+    if not _advance(service, row, received=row.received + got.length, parts=json.dumps(parts)):
+        service.blobs.remove_part(name)
+        _refuse(service, row)
+    return get(service, row.tenant, row.id)
 
 
-def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -> Any:
-    """The last bytes have come: make the blob. `sha256` is of these bytes, the whole if nothing came before."""
-    parts = [*json.loads(row.parts), [row.received, length]]
-    if len(parts) > 1:
-        service.blobs.put_part(path, part_name(row.id, row.received))
-        with service.blobs.new_file() as whole:
-            sha256 = _join(service, row.id, parts, whole)
-            _check(service, row, parts, sha256)
-            service.blobs.put(whole, sha256)
-    else:
-        _check(service, row, [], sha256)
+def complete(service: Service, row: Any, path: Path, got: Received) -> Any:
+    """The row once its last bytes have come, and the whole is a blob."""
+    parts, total = json.loads(row.parts), row.received + got.length
+    with service.blobs.new_file() as whole:
+        sha256 = got.sha256
+        if parts:
+            sha256 = _join(service, row, parts, path, whole)
+            path = whole
+        if row.sha256 not in (None, sha256):
+            text = f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
+            _give_up(service, row, Problem("digest-mismatch", text))
         service.blobs.put(path, sha256)
-    total = row.received + length
-    _advance(service, row, received=total, size=total, sha256=sha256, state="complete")
-    for offset, _ in parts if len(parts) > 1 else ():
-        service.blobs.remove_part(part_name(row.id, offset))
+    if not _advance(service, row, received=total, size=total, sha256=sha256, state="complete", parts="[]"):
+        _refuse(service, row)
+    _remove(service, row)
     return get(service, row.tenant, row.id)
 
 
@@ -91,9 +110,13 @@ def note(service: Service, row: Any, info: Mapping[str, object]) -> Any:
 
 def drop(service: Service, row: Any) -> None:
     """Forget a slot and its parts. Its blob, if nothing else uses it, goes with the next sweep."""
-    for offset, _ in json.loads(row.parts):
-        service.blobs.remove_part(part_name(row.id, offset))
     service.db.change(sa.delete(uploads).where(uploads.c.id == row.id))
+    _remove(service, row)
+
+
+def part_names(parts: str) -> list[str]:
+    """Names in the store of the parts that a row's `parts` lists."""
+    return [name for name, _, _ in json.loads(parts)]
 
 
 def kind_of(path: Path, name: str) -> str:
@@ -108,36 +131,57 @@ def kind_of(path: Path, name: str) -> str:
         return "model" if b'"meshes"' in file.read() else "cameras"  # a .gltf
 
 
-def part_name(upload_id: str, offset: int) -> str:
-    """Name of a part in the store."""
-    return f"upload/{upload_id}/{offset:016d}"
+def _unchanged(row: Any) -> sa.ColumnElement[bool]:
+    return (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
 
 
-def _advance(service: Service, row: Any, **values: Any) -> None:
-    unchanged = (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
-    if service.db.change(sa.update(uploads).where(unchanged).values(**values)) == 0:
-        raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}")
+def _advance(service: Service, row: Any, **values: Any) -> bool:
+    """Compare and set: False where the slot is not as it was read."""
+    return service.db.change(sa.update(uploads).where(_unchanged(row)).values(**values)) > 0
 
 
-def _join(service: Service, upload_id: str, parts: list[list[int]], whole: Path) -> str:
+def _refuse(service: Service, row: Any) -> NoReturn:
+    """Another request was faster: it continued the upload, completed it, or deleted it (not-found)."""
+    offset = get(service, row.tenant, row.id).received
+    raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}", offset=offset)
+
+
+def _give_up(service: Service, row: Any, problem: Problem) -> NoReturn:
+    """Drop a slot that can never be completed, unless another request was faster."""
+    if not service.db.change(sa.delete(uploads).where(_unchanged(row))):
+        _refuse(service, row)
+    _remove(service, row)
+    raise problem
+
+
+def _remove(service: Service, row: Any) -> None:
+    for name in part_names(row.parts):
+        service.blobs.remove_part(name)
+
+
+def _join(service: Service, row: Any, parts: list[tuple[str, int, str]], last: Path, whole: Path) -> str:
+    """Write the parts, each held against its length and digest, and the `last` bytes into one file; its digest."""
     digest = hashlib.sha256()
     with whole.open("wb") as file:
-        for offset, _ in parts:
-            path = service.blobs.local_part(part_name(upload_id, offset), service.blobs.scratch)
-            with path.open("rb") as part:
-                while chunk := part.read(_CHUNK):
+        for name, length, sha256 in parts:
+            part, begin = hashlib.sha256(), file.tell()
+            try:
+                for chunk in service.blobs.chunks(name):
+                    part.update(chunk)
                     digest.update(chunk)
                     file.write(chunk)
+            except Problem:  # it is gone: deleted meanwhile, or damaged
+                pass
+            if (file.tell() - begin, part.hexdigest()) != (length, sha256):
+                text = (
+                    f"the stored bytes of upload {row.id!r} are damaged at byte {begin}; it was dropped: send it anew"
+                )
+                _give_up(service, row, Problem("internal", text))
+        with last.open("rb") as rest:
+            while chunk := rest.read(_CHUNK):
+                digest.update(chunk)
+                file.write(chunk)
     return digest.hexdigest()
-
-
-def _check(service: Service, row: Any, parts: list[list[int]], sha256: str) -> None:
-    if row.sha256 is not None and row.sha256 != sha256:
-        for offset, _ in parts:
-            service.blobs.remove_part(part_name(row.id, offset))
-        drop(service, row)
-        text = f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
-        raise Problem("digest-mismatch", text)
 
 
 _BESIDE = 1 << 20
