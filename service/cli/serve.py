@@ -34,7 +34,8 @@ def serve(
 ) -> int:
     """Run the ownership service: API, page and workers, in one data folder.
 
-    Needs no other server. The first start makes the master key, the signing
+    A second one in this folder is refused, unless it starts no workers
+    ('--workers 0'). Needs no other server. The first start makes the master key, the signing
     key and one admin API key, which it prints once. Settings are environment
     variables: MARK3DGS_DATA_DIR (default ./mark3dgs-data), MARK3DGS_DATABASE_URL
     and MARK3DGS_BLOB_URL for several machines, and more (see docs/SERVICE.md).
@@ -49,16 +50,19 @@ def serve(
     from engine.credentials.native import require
     from service.app import make_app
     from service.assets.content_credentials import signer_of
+    from service.folder_locks import crew_names, hold
 
     console = Console(machine=False)
+    settings = settings_of()
+    count = settings.workers if workers is None else workers
+    lock = hold(settings.data_dir, "serve") if count else None  # before a database is opened, which changes it
     _check_free(host, port)
     settings, service = start(console, may_make=True)
     if (signer := signer_of(settings)) is not None:  # what is wrong with it is said now, not at the first download
         require()
         until = f"{signer.certificate.not_valid_after_utc:%Y-%m-%d}"
         console.note(f"Content Credentials are signed by {signer.certificate.subject.rfc4514_string()}, until {until}.")
-    count = settings.workers if workers is None else workers
-    crew = Crew([f"local-{number}" for number in range(1, count + 1)])
+    crew = Crew(crew_names(settings.data_dir, count) if count else [])
     console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")
     try:
         crew.start()
@@ -74,6 +78,8 @@ def serve(
         )
     finally:
         crew.stop()
+        if lock is not None:
+            lock.close()
     return 0
 
 
