@@ -54,7 +54,9 @@ class EmbedRequest(BaseModel):
         "balanced",
         description="Speed against accuracy; auto: no more than the scene needs; the others: the paper's system.",
     )
-    psnr: float | None = Field(None, ge=20, le=90, description="Least PSNR of the mark, dB (47).")
+    psnr: float | None = Field(
+        None, ge=20, le=90, description="Least PSNR of the mark, dB (47); above the profile's: scope `originals`."
+    )
     budget: float | None = Field(None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all.")
     output: Literal["fidelity", "compact"] | None = Field(
         None, description="Keep each Gaussian's residual, or drop it; as the profile has it if left out."
@@ -100,12 +102,13 @@ class EmbedForm(EmbedRequest):
 
 
 def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_key: str | None) -> Job:
+    _check_fidelity(caller, body)
     tenant, digests, names = caller.tenant, {}, {}
     for name, upload_id in (("model", body.upload_id), ("cameras", body.cameras_upload_id)):
         named, brought = [upload_id] if upload_id else [], files.get(name, [])
         if len(named) + len(brought) > 1:
             raise Problem("invalid-request", f"give one {name}, as a file or as an upload")
-        rows = gather(core, tenant, named, brought, name)
+        rows = gather(core, caller, named, brought, name)
         digests[name] = rows[0].sha256 if rows else None
         names[name] = [row.name for row in rows]
     if digests["model"] is None:
@@ -120,6 +123,18 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
         return {**unnamed, **digests, "key_id": key_id, "names": names["model"]}
 
     return submit(core, caller, "embed", retry_key, {"embed": unnamed, **digests}, make)
+
+
+def _check_fidelity(caller: Caller, body: EmbedForm) -> None:
+    """forbidden where the mark were so faint that the marked model is as good as the unmarked one."""
+    if body.psnr is None or caller.may("originals"):
+        return
+    from engine.flows.embed.profiles import AUTO, PROFILES, Auto
+
+    usual = (Auto().start if body.profile == AUTO else PROFILES[body.profile]).psnr_db
+    if body.psnr > usual:
+        text = f"psnr {body.psnr:g}: more than the {usual:g} dB of profile {body.profile!r} needs the scope 'originals'"
+        raise Problem("forbidden", text)
 
 
 def _usual_key(core: Service, tenant: str) -> str:

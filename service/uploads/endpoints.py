@@ -64,23 +64,23 @@ class UploadList(BaseModel):
 )
 def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Response) -> Upload:
     """Open a slot; send the bytes with PUT."""
-    row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
+    row = store.create(core, caller, body.name, body.size, body.sha256)
     response.headers["Location"] = f"/v1/uploads/{row.id}"
     return Upload.model_validate(row)
 
 
 @router.get("", operation_id="listUploads", responses=OF_LIST)
 def list_uploads(core: Core, caller: Uploader, limit: Limit = 20, after: After = "") -> UploadList:
-    """Uploads of this tenant that are still here, newest first."""
+    """Uploads of this API key (for `admin`: of the tenant) that are still here, newest first."""
     with core.db.read() as connection:
-        rows, following = page(connection, uploads, caller.tenant, limit, after)
+        rows, following = page(connection, uploads, caller.tenant, limit, after, where=store.of(caller))
     return UploadList(items=[Upload.model_validate(row) for row in rows], next=following)
 
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)
 def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
     """How far an upload is: `offset` says where to continue."""
-    return Upload.model_validate(store.get(core, caller.tenant, upload_id))
+    return Upload.model_validate(store.get(core, caller, upload_id))
 
 
 @router.put(
@@ -105,7 +105,7 @@ async def put_upload(
     The upload is complete when `size` bytes have come, or, where no size was announced, with the end of the request.
     A model that cannot be read is refused then.
     """
-    row = await asyncio.to_thread(store.get, core, caller.tenant, upload_id)
+    row = await asyncio.to_thread(store.get, core, caller, upload_id)
     if row.state != "open":
         raise Problem("conflict", f"upload {upload_id!r} is complete", offset=row.received)
     if upload_offset != row.received:
@@ -117,4 +117,4 @@ async def put_upload(
 @router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=OF_OWN)
 def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
     """Forget an upload; what was made of it stays."""
-    store.drop(core, store.get(core, caller.tenant, upload_id))
+    store.drop(core, store.get(core, caller, upload_id))

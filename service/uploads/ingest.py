@@ -15,6 +15,7 @@ from service.blobs import digest_of
 from service.core import Service
 from service.problems import Problem
 from service.processes import run_once, task_folder
+from service.trust.api_keys import Caller
 from service.uploads import store
 from service.uploads.store import Received, check_quota
 
@@ -107,14 +108,14 @@ def inspect(service: Service, row: Any) -> Any:
 
 
 def gather(
-    service: Service, tenant: str, upload_ids: Sequence[str], files: Sequence[UploadFile], kind: str
+    service: Service, caller: Caller, upload_ids: Sequence[str], files: Sequence[UploadFile], kind: str
 ) -> list[Any]:
     """Rows of the complete uploads that a request names, and of those that its files become.
 
     conflict where an upload is not complete, unreadable-... where it is no model, picture or cameras as `kind` says.
     """
-    rows = [_whole(service, tenant, upload_id) for upload_id in upload_ids]
-    rows += [_take(service, tenant, file) for file in files]
+    rows = [_whole(service, caller, upload_id) for upload_id in upload_ids]
+    rows += [_take(service, caller, file) for file in files]
     for row in rows:
         found = json.loads(row.info)["kind"] if row.info else kind
         if found != kind:
@@ -122,20 +123,20 @@ def gather(
     return rows
 
 
-def _take(service: Service, tenant: str, file: UploadFile) -> Any:
+def _take(service: Service, caller: Caller, file: UploadFile) -> Any:
     """The row of the upload that a form's file became."""
     name = PurePosixPath((file.filename or "").replace("\\", "/")).name[:200]
     with service.blobs.new_file() as path:
         with path.open("wb") as target:
             shutil.copyfileobj(file.file, target, _CHUNK)
         size = path.stat().st_size
-        row = store.create(service, tenant, name, size or None, None)
+        row = store.create(service, caller, name, size or None, None)
         return inspect(service, store.complete(service, row, path, Received(size, digest_of(path), whole=True)))
 
 
-def _whole(service: Service, tenant: str, upload_id: str) -> Any:
+def _whole(service: Service, caller: Caller, upload_id: str) -> Any:
     """The row of a complete upload."""
-    row = store.get(service, tenant, upload_id)
+    row = store.get(service, caller, upload_id)
     if row.state != "complete":
         raise Problem("conflict", f"upload {upload_id!r} is not complete: {row.received} bytes are here")
     return row

@@ -18,9 +18,10 @@ import sqlalchemy as sa
 from engine.formats.image_files import is_picture
 from service.clock import now
 from service.core import Service
-from service.db import Database, own
+from service.db import Database, missing, own
 from service.db.schema import assets, uploads
 from service.problems import Problem
+from service.trust.api_keys import Caller
 
 _CHUNK = 4 << 20
 _TEXT = 1024  # bytes that tell JSON from numbers
@@ -37,8 +38,9 @@ class Received:
     whole: bool
 
 
-def create(service: Service, tenant: str, name: str, size: int | None, sha256: str | None) -> Any:
-    """A new slot."""
+def create(service: Service, caller: Caller, name: str, size: int | None, sha256: str | None) -> Any:
+    """A new slot, which belongs to the caller's API key."""
+    tenant = caller.tenant
     limit, most = service.settings.max_upload_bytes, service.settings.open_uploads
     if size is not None and size > limit:
         raise Problem("too-large", f"an upload of {size} bytes exceeds the limit of {limit}")
@@ -49,8 +51,9 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
         raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
     upload_id = f"up_{secrets.token_hex(12)}"
     values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
-    service.db.change(uploads.insert().values(**values, received=0, state="open", created_at=now()))
-    return get(service, tenant, upload_id)
+    values |= {"api_key": caller.key_id, "received": 0, "state": "open", "created_at": now()}
+    service.db.change(uploads.insert().values(values))
+    return get(service, caller, upload_id)
 
 
 def under_way(service: Service, tenant: str) -> int:
@@ -59,9 +62,17 @@ def under_way(service: Service, tenant: str) -> int:
     return int(service.db.query(opened).scalar_one())
 
 
-def get(service: Service, tenant: str, upload_id: str) -> Any:
-    """The row of a slot."""
-    return own(service.db, uploads, tenant, upload_id)
+def get(service: Service, caller: Caller, upload_id: str) -> Any:
+    """The row of a slot; not-found where it is not the caller's."""
+    row = own(service.db, uploads, caller.tenant, upload_id)
+    if not caller.may("admin") and row.api_key != caller.key_id:
+        raise missing(uploads, upload_id)
+    return row
+
+
+def of(caller: Caller) -> sa.ColumnElement[bool]:
+    """Uploads of the tenant that are the caller's: those of its API key, and all for `admin`."""
+    return sa.true() if caller.may("admin") else uploads.c.api_key == caller.key_id
 
 
 def room(service: Service, row: Any) -> int:
@@ -81,7 +92,7 @@ def add_part(service: Service, row: Any, path: Path, got: Received) -> Any:
     if not _advance(service, row, received=row.received + got.length, parts=json.dumps(parts)):
         service.blobs.remove_part(name)
         _refuse(service, row)
-    return get(service, row.tenant, row.id)
+    return _again(service, row)
 
 
 def complete(service: Service, row: Any, path: Path, got: Received) -> Any:
@@ -99,13 +110,13 @@ def complete(service: Service, row: Any, path: Path, got: Received) -> Any:
     if not _advance(service, row, received=total, size=total, sha256=sha256, state="complete", parts="[]"):
         _refuse(service, row)
     _remove(service, row)
-    return get(service, row.tenant, row.id)
+    return _again(service, row)
 
 
 def note(service: Service, row: Any, info: Mapping[str, object]) -> Any:
     """What the inspection found."""
     service.db.change(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))
-    return get(service, row.tenant, row.id)
+    return _again(service, row)
 
 
 def drop(service: Service, row: Any) -> None:
@@ -131,6 +142,10 @@ def kind_of(path: Path, name: str) -> str:
         return "model" if b'"meshes"' in file.read() else "cameras"  # a .gltf
 
 
+def _again(service: Service, row: Any) -> Any:
+    return own(service.db, uploads, row.tenant, row.id)
+
+
 def _unchanged(row: Any) -> sa.ColumnElement[bool]:
     return (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
 
@@ -142,7 +157,7 @@ def _advance(service: Service, row: Any, **values: Any) -> bool:
 
 def _refuse(service: Service, row: Any) -> NoReturn:
     """Another request was faster: it continued the upload, completed it, or deleted it (not-found)."""
-    offset = get(service, row.tenant, row.id).received
+    offset = _again(service, row).received
     raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}", offset=offset)
 
 
