@@ -23,7 +23,7 @@ from service.disputes.endpoints import router as disputes
 from service.embeds.endpoints import router as embeds
 from service.health.endpoints import router as health
 from service.http.error_responses import install
-from service.http.middleware import BodyLimit, SafeHeaders
+from service.http.middleware import BodyGuard, SafeHeaders
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me
 from service.tracking.endpoints import router as jobs
@@ -93,7 +93,7 @@ def make_app(service: Service) -> FastAPI:
     for router in (*ours, health):
         app.include_router(router)
     install(app)
-    app.add_middleware(BodyLimit, settings=service.settings)
+    app.add_middleware(BodyGuard, settings=service.settings)
     app.add_middleware(SafeHeaders)
 
     @app.get("/", include_in_schema=False)

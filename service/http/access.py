@@ -25,10 +25,15 @@ def service_of(request: Request) -> Service:
 Core = Annotated[Service, Depends(service_of)]
 
 
-def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> Caller:
-    if credentials is None:
+def identify(service: Service, token: str | None) -> Caller:
+    """Whose API key came with a request; unauthorized without a valid one."""
+    if token is None:
         raise Problem("unauthorized", "send the header 'Authorization: Bearer mk_...'")
-    return check(core.db, core.master, credentials.credentials)
+    return check(service.db, service.master, token)
+
+
+def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> Caller:
+    return identify(core, credentials and credentials.credentials)
 
 
 def may(*scopes: str) -> Callable[..., Caller]:

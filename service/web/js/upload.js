@@ -38,7 +38,7 @@ export async function upload(file, tell, signal) {
 }
 
 /** Whether trying again can help: no connection, a gateway's answer, bytes that arrived although nobody said so. */
-const passing = (error) => error.title === LOST || error.status === 409 || error.status >= 502;
+const passing = (error) => error.title === LOST || [408, 409].includes(error.status) || error.status >= 502;
 
 async function standing(path, last, signal) {
   try {
