@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -16,12 +17,14 @@ import typer
 from engine.cli.console import Console
 from engine.cli.options import Json
 from engine.errors import InputError
+from service.cli import log
 
 if TYPE_CHECKING:
     from service.core import Service
     from service.settings import Settings
 
 RESTART_SECONDS = 1.0
+SPARE_FILES = 256
 
 
 def serve(
@@ -53,6 +56,7 @@ def serve(
     from service.folder_locks import crew_names, hold
 
     console = Console(machine=False)
+    log.set_up()
     settings = settings_of()
     count = settings.workers if workers is None else workers
     lock = hold(settings.data_dir, "serve") if count else None  # before a database is opened, which changes it
@@ -71,7 +75,9 @@ def serve(
             host=host,
             port=port,
             log_level="warning",
+            log_config=None,
             access_log=False,
+            limit_concurrency=_connections(settings.connections),
             server_header=False,
             http="h11",
             timeout_graceful_shutdown=5,
@@ -98,6 +104,7 @@ def worker(
     """
     from service.worker import run_worker
 
+    log.set_up()
     _, service = start(Console(machine=False))
     run_worker(service, name, die_with_parent)
 
@@ -183,6 +190,15 @@ def _check_free(host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise InputError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+
+
+def _connections(most: int) -> int:
+    """How many connections are taken: as many as wanted, or half of the files that this process may open."""
+    files, limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files != resource.RLIM_INFINITY and files < 2 * most + SPARE_FILES:
+        files = 2 * most + SPARE_FILES if limit == resource.RLIM_INFINITY else min(limit, 2 * most + SPARE_FILES)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (files, limit))
+    return most if files == resource.RLIM_INFINITY else min(most, files // 2)
 
 
 class Crew:
