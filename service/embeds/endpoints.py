@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import ConfigDict, Field, JsonValue, model_validator
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
 from service.http.budgets import spend
-from service.http.forms import WHOLE, Files, form_schema, read_form
+from service.http.forms import WHOLE, Asked, Files, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -30,12 +30,11 @@ _GIVEN: dict[str, JsonValue] = {"message": {"type": "string"}, "bits": {"type": 
 _EXAMPLE: JsonValue = {"upload_id": "up_d40313a36c48f4baf73fb30a", "copy_name": "acme", "profile": "fast"}
 
 
-class EmbedRequest(BaseModel):
+class EmbedRequest(Asked):
     """What to mark, under which key, and how."""
 
     model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}, "examples": [_EXAMPLE]},
+        json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}, "examples": [_EXAMPLE]}
     )
     upload_id: str = Field(min_length=1, max_length=64, description="A complete upload: the model.")
     key_id: str | None = Field(
@@ -118,7 +117,8 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
     def make() -> Mapping[str, object]:
         key_id = body.key_id or _usual_key(core, tenant)
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
-        check_quota(core, tenant, 0)
+        with core.db.read() as connection:
+            check_quota(connection, core.settings, tenant, 0)
         spend(core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key")
         return {**unnamed, **digests, "key_id": key_id, "names": names["model"]}
 

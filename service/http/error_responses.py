@@ -89,7 +89,7 @@ def responses(*kinds: str) -> Responses:
     """OpenAPI of the problems that a route may answer with; those that any route can are added."""
     found: dict[int, list[str]] = {}
     slow = ("too-slow",) if "malformed-request" in kinds else ()  # it has a body
-    for kind in (*kinds, *slow, "internal", "unavailable", "storage-full"):
+    for kind in (*kinds, *slow, "invalid-request", "internal", "unavailable", "storage-full"):
         found.setdefault(KINDS[kind][0], []).append(KINDS[kind][1])
     schema = {"$ref": "#/components/schemas/Problem"}
     return {

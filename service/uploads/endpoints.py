@@ -10,7 +10,7 @@ from service.db import page
 from service.db.schema import uploads
 from service.http.access import After, Core, Limit, Uploader
 from service.http.error_responses import OF_LIST, OF_OWN, responses
-from service.http.forms import FROM_JSON, WHOLE
+from service.http.forms import FROM_JSON, WHOLE, Asked
 from service.http.results import FileInfo, Time
 from service.problems import Problem
 from service.uploads import store
@@ -24,10 +24,10 @@ OCTETS = {"requestBody": {"required": True, "content": {"application/octet-strea
 _EXAMPLE: JsonValue = {"name": "plant.ply", "size": 28185736}
 
 
-class NewUpload(BaseModel):
+class NewUpload(Asked):
     """A slot for one file."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [_EXAMPLE]})
+    model_config = ConfigDict(strict=True, json_schema_extra={"examples": [_EXAMPLE]})
     name: str = Field("", max_length=200, description="For people; it never becomes a path.")
     size: Annotated[int, Field(ge=1, le=1 << 50), WHOLE] | None = Field(
         None, description="Bytes to come; needed to resume."

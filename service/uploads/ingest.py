@@ -13,11 +13,12 @@ from starlette.requests import ClientDisconnect
 
 from service.blobs import digest_of
 from service.core import Service
+from service.http.forms import check_text
 from service.problems import Problem
 from service.processes import run_once, task_folder
 from service.trust.api_keys import Caller
 from service.uploads import store
-from service.uploads.store import Received, check_quota
+from service.uploads.store import Received
 
 BATCH = 4 << 20
 """Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""
@@ -76,8 +77,6 @@ async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
             return row
         if row.size is not None and got.length < room:
             return await asyncio.to_thread(store.add_part, service, row, path, got) if got.length else row
-        if row.size is None:  # others may have come meanwhile
-            await asyncio.to_thread(check_quota, service, row.tenant, got.length)
         row = await asyncio.to_thread(store.complete, service, row, path, got)
     return await asyncio.to_thread(inspect, service, row)
 
@@ -125,7 +124,10 @@ def gather(
 
 def _take(service: Service, caller: Caller, file: UploadFile) -> Any:
     """The row of the upload that a form's file became."""
-    name = PurePosixPath((file.filename or "").replace("\\", "/")).name[:200]
+    try:
+        name = check_text(PurePosixPath((file.filename or "").replace("\\", "/")).name[:200])
+    except ValueError as error:
+        raise Problem("invalid-request", f"name of a file: {error}") from None
     with service.blobs.new_file() as path:
         with path.open("wb") as target:
             shutil.copyfileobj(file.file, target, _CHUNK)

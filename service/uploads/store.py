@@ -18,9 +18,10 @@ import sqlalchemy as sa
 from engine.formats.image_files import is_picture
 from service.clock import now
 from service.core import Service
-from service.db import Database, missing, own
+from service.db import missing, own
 from service.db.schema import assets, uploads
 from service.problems import Problem
+from service.settings import Settings
 from service.trust.api_keys import Caller
 
 _CHUNK = 4 << 20
@@ -46,20 +47,21 @@ def create(service: Service, caller: Caller, name: str, size: int | None, sha256
         raise Problem("too-large", f"an upload of {size} bytes exceeds the limit of {limit}")
     if size is not None and size > service.blobs.free_bytes():
         raise Problem("storage-full", f"there is no room for an upload of {size} bytes")
-    check_quota(service, tenant, size or 0)
-    if under_way(service, tenant) >= most:
-        raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
     upload_id = f"up_{secrets.token_hex(12)}"
     values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
     values |= {"api_key": caller.key_id, "received": 0, "state": "open", "created_at": now()}
-    service.db.change(uploads.insert().values(values))
+    with service.db.exclusive() as connection:
+        check_quota(connection, service.settings, tenant, size or 0)
+        if under_way(connection, tenant) >= most:
+            raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
+        connection.execute(uploads.insert().values(values))
     return get(service, caller, upload_id)
 
 
-def under_way(service: Service, tenant: str) -> int:
+def under_way(connection: sa.Connection, tenant: str) -> int:
     """How many slots of a tenant wait for bytes."""
     opened = sa.select(sa.func.count()).where((uploads.c.tenant == tenant) & (uploads.c.state == "open"))
-    return int(service.db.query(opened).scalar_one())
+    return int(connection.execute(opened).scalar_one())
 
 
 def get(service: Service, caller: Caller, upload_id: str) -> Any:
@@ -80,7 +82,8 @@ def room(service: Service, row: Any) -> int:
     if row.size is not None:
         return int(row.size - row.received)
     limits = service.settings
-    left = limits.tenant_bytes - stored_bytes(service.db, row.tenant)
+    with service.db.read() as connection:
+        left = limits.tenant_bytes - stored_bytes(connection, row.tenant)
     return min(limits.max_upload_bytes - int(row.received), left)
 
 
@@ -89,7 +92,8 @@ def add_part(service: Service, row: Any, path: Path, got: Received) -> Any:
     name = f"{PARTS}/{row.id}/{row.received:016d}-{secrets.token_hex(8)}"
     service.blobs.put_part(path, name)
     parts = [*json.loads(row.parts), [name, got.length, got.sha256]]
-    if not _advance(service, row, received=row.received + got.length, parts=json.dumps(parts)):
+    moved = {"received": row.received + got.length, "parts": json.dumps(parts)}
+    if not service.db.change(sa.update(uploads).where(_unchanged(row)).values(moved)):
         service.blobs.remove_part(name)
         _refuse(service, row)
     return _again(service, row)
@@ -107,7 +111,12 @@ def complete(service: Service, row: Any, path: Path, got: Received) -> Any:
             text = f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
             _give_up(service, row, Problem("digest-mismatch", text))
         service.blobs.put(path, sha256)
-    if not _advance(service, row, received=total, size=total, sha256=sha256, state="complete", parts="[]"):
+    with service.db.exclusive() as connection:
+        if row.size is None:  # its bytes did not count yet, and others may have come meanwhile
+            check_quota(connection, service.settings, row.tenant, got.length)
+        done = {"received": total, "size": total, "sha256": sha256, "state": "complete", "parts": "[]"}
+        first = connection.execute(sa.update(uploads).where(_unchanged(row)).values(done)).rowcount > 0
+    if not first:
         _refuse(service, row)
     _remove(service, row)
     return _again(service, row)
@@ -147,12 +156,8 @@ def _again(service: Service, row: Any) -> Any:
 
 
 def _unchanged(row: Any) -> sa.ColumnElement[bool]:
+    """The compare of compare and set: the slot is as it was read."""
     return (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
-
-
-def _advance(service: Service, row: Any, **values: Any) -> bool:
-    """Compare and set: False where the slot is not as it was read."""
-    return service.db.change(sa.update(uploads).where(_unchanged(row)).values(**values)) > 0
 
 
 def _refuse(service: Service, row: Any) -> NoReturn:
@@ -203,7 +208,7 @@ _BESIDE = 1 << 20
 """Bytes of an asset's preview and entry, which its row does not say."""
 
 
-def stored_bytes(db: Database, tenant: str) -> int:
+def stored_bytes(connection: sa.Connection, tenant: str) -> int:
     """Bytes of a tenant: uploads, open ones as announced, and assets; an original counts once, however many copies.
 
     Counted on request, so deleting helps at once.
@@ -211,7 +216,7 @@ def stored_bytes(db: Database, tenant: str) -> int:
 
     def measured(name: str) -> sa.ColumnElement[int]:
         report = assets.c.report
-        plain = sa.type_coerce(report, sa.JSON) if db.is_sqlite else sa.cast(report, sa.JSON)
+        plain = sa.type_coerce(report, sa.JSON) if connection.dialect.name == "sqlite" else sa.cast(report, sa.JSON)
         return sa.func.coalesce(sa.cast(plain[name].as_string(), sa.BigInteger), 0)
 
     mine = assets.c.tenant == tenant
@@ -222,14 +227,13 @@ def stored_bytes(db: Database, tenant: str) -> int:
     of_originals = sa.select(
         sa.func.sum(originals.where(mine, assets.c.original_sha256.not_in(uploaded)).subquery().c.bytes)
     )
-    with db.read() as connection:
-        parts = (of_uploads.where(uploads.c.tenant == tenant), of_copies, of_originals)
-        return sum(int(connection.execute(part).scalar_one() or 0) for part in parts)
+    parts = (of_uploads.where(uploads.c.tenant == tenant), of_copies, of_originals)
+    return sum(int(connection.execute(part).scalar_one() or 0) for part in parts)
 
 
-def check_quota(service: Service, tenant: str, more: int) -> None:
+def check_quota(connection: sa.Connection, settings: Settings, tenant: str, more: int) -> None:
     """quota-exceeded where a tenant has no room for so many bytes more."""
-    stored, limit = stored_bytes(service.db, tenant), service.settings.tenant_bytes
+    stored, limit = stored_bytes(connection, tenant), settings.tenant_bytes
     if stored + more > limit or stored >= limit:
         text = f"this tenant stores {stored} of {limit} bytes: delete uploads or assets to make room for {more} more"
         raise Problem("quota-exceeded", text, stored=stored, limit=limit)

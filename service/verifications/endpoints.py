@@ -6,7 +6,7 @@ from datetime import date
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
 
 from engine.watermark.statistics import CHANCE_RATE
 from service.core import Service
@@ -14,7 +14,7 @@ from service.db import own
 from service.db.schema import assets
 from service.http.access import Core, Verifier
 from service.http.budgets import spend
-from service.http.forms import Files, form_schema, read_form
+from service.http.forms import Asked, Files, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -35,10 +35,10 @@ _EXAMPLES: JsonValue = [
 ]
 
 
-class VerifyRequest(BaseModel):
+class VerifyRequest(Asked):
     """What to check, and against what."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": _EXAMPLES})
+    model_config = ConfigDict(json_schema_extra={"examples": _EXAMPLES})
     upload_id: str | None = Field(
         None, min_length=1, max_length=64, description="A complete upload: the suspect model."
     )
