@@ -25,7 +25,7 @@ def service_of(request: Request) -> Service:
 Core = Annotated[Service, Depends(service_of)]
 
 
-def check_address(request: Request) -> None:
+async def check_address(request: Request) -> None:
     """invalid-request for a path or query with a NUL: no text of a database holds one, so nothing has such a name."""
     if "\0" in request.scope["path"] or "%00" in request.scope["query_string"].decode("latin-1"):
         raise Problem("invalid-request", "an address must not hold NUL characters (%00)")
