@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, TypedDict
 
 import sqlalchemy as sa
@@ -15,6 +16,7 @@ from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
 from service.trust import audit
 from service.trust.commitments import commit_asset
+from service.trust.draws import draws_for, stamp_to_draw
 from service.trust.owner_keys import open_key
 
 PLAIN = "plain.ply"
@@ -47,7 +49,7 @@ def _embed(service: Service, run: Run) -> Reply:
     screening = _screen(service, run, model)
     if screening["disputed"]:
         return {"screening": screening, "kept": {}}
-    drawn = _drawn(service, asked)
+    draws = draws_for(service.settings)
     return service.do_task(
         run,
         "embed",
@@ -58,11 +60,12 @@ def _embed(service: Service, run: Run) -> Reply:
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
-            "drawn": drawn,
+            "draws": draws,
             "earlier": _earlier(service, run),
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
-    ) | {"drawn": drawn, "screening": screening}
+        partial(stamp_to_draw, service.db, service.settings) if draws else None,
+    ) | {"screening": screening}
 
 
 def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
@@ -104,14 +107,9 @@ def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
     return sorted((row for row in alike if row.id in ids), key=lambda row: order[row.original_sha256])
 
 
-def _drawn(service: Service, asked: Mapping[str, Any]) -> str:
-    """The service's random part of the plan, the same for all copies of one model under one key, which share a layer:
-    unknown before a first job, so records cannot be tried out."""
-    return service.master.mac("drawn for a record", f"{asked['key_id']} {asked['model']}")
-
-
 def _earlier(service: Service, run: Run) -> str:
-    """Where the record of the newest copy of this model under this key lies, "" if there is none: it saves time."""
+    """Where the record of the newest copy of this model under this key lies, "" if there is none: what was drawn for it
+    holds for all copies, which share a layer; and it saves time."""
     asked = run.job.request
     mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == asked["key_id"])
     query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == asked["model"]))
@@ -137,7 +135,7 @@ def _commit(service: Service, run: Run) -> Ending:
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row, made.get("drawn") or _drawn(service, job.request), row["registered_at"])
+            commit_asset(connection, row, made.get("drawn", ""), row["registered_at"])
     report = made["report"]
     result = {
         "asset_id": row["id"],

@@ -6,7 +6,7 @@ from datetime import date
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
 
 from engine.watermark.statistics import CHANCE_RATE
 from service.core import Service
@@ -14,7 +14,7 @@ from service.db import own
 from service.db.schema import assets
 from service.http.access import Core, Verifier
 from service.http.budgets import spend
-from service.http.forms import Files, form_schema, read_form
+from service.http.forms import Asked, Files, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -35,10 +35,10 @@ _EXAMPLES: JsonValue = [
 ]
 
 
-class VerifyRequest(BaseModel):
+class VerifyRequest(Asked):
     """What to check, and against what."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": _EXAMPLES})
+    model_config = ConfigDict(json_schema_extra={"examples": _EXAMPLES})
     upload_id: str | None = Field(
         None, min_length=1, max_length=64, description="A complete upload: the suspect model."
     )
@@ -90,7 +90,6 @@ async def verify(
 
 
 def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, retry_key: str | None) -> Job:
-    tenant = caller.tenant
     model_files, image_files, camera_files = (files.get(name, []) for name in FILES)
     models = [body.upload_id] if body.upload_id else []
     cameras = [body.cameras_upload_id] if body.cameras_upload_id else []
@@ -102,9 +101,9 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
         raise Problem("invalid-request", "at most 64 pictures are read together")
     if (cameras or camera_files) and (models or model_files):
         raise Problem("invalid-request", "cameras belong to pictures; a model needs none")
-    model = gather(core, tenant, models, model_files, "model")
-    images = gather(core, tenant, body.image_upload_ids, image_files, "picture")
-    views = gather(core, tenant, cameras, camera_files, "cameras")
+    model = gather(core, caller, models, model_files, "model")
+    images = gather(core, caller, body.image_upload_ids, image_files, "picture")
+    views = gather(core, caller, cameras, camera_files, "cameras")
     asked: dict[str, object] = {
         "model": model[0].sha256 if model else None,
         "images": [row.sha256 for row in images],
@@ -115,7 +114,7 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
-            own(core.db, assets, tenant, body.asset_id)
+            own(core.db, assets, caller.tenant, body.asset_id)
             spend_subject(core, body.asset_id)
         return {**asked, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
