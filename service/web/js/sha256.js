@@ -9,12 +9,14 @@ const turned = (x, n) => (x >>> n) | (x << (32 - n));
 /**
  * @param {Blob} file
  * @param {AbortSignal} signal
+ * @param {(read: number) => void} tell  bytes so far
  * @returns {Promise<string>} 64 hexadecimal digits
  */
-export async function sha256(file, signal) {
+export async function sha256(file, signal, tell) {
   const state = Int32Array.from(PRIMES.slice(0, 8), (prime) => fraction(Math.sqrt(prime)));
   for (let start = 0; start + 64 <= file.size; start += SLICE) {
     signal.throwIfAborted();
+    tell(start);
     const end = Math.min(start + SLICE, file.size);
     const bytes = await file.slice(start, end - (end % 64)).arrayBuffer();
     absorb(state, new DataView(bytes));

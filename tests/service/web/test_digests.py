@@ -17,7 +17,7 @@ SLICE = 1 << 22
 DIGEST = """async (length) => {
   const { sha256 } = await import("/static/js/sha256.js");
   const bytes = Uint8Array.from({ length }, (_, at) => (at * 31 + (at >> 8)) & 255);
-  return await sha256(new Blob([bytes]), new AbortController().signal);
+  return await sha256(new Blob([bytes]), new AbortController().signal, () => {});
 }"""
 
 
