@@ -145,19 +145,23 @@ def measure_screenshots(scene: str, seed: int, profile: str, trials: int, other:
 
 def read_screenshots(scene: MarkedScene, trials: int, seed: int = 0, foreign: GaussianModel | None = None) -> list[Row]:
     """800x600 screenshots, JPEG 80, camera and focal length unknown, a part cut out of each, each on a page, scaled
-    unevenly, and photographed off a screen; of `foreign` where given."""
+    unevenly, and photographed off a screen; and the same views as they are, blurred over 15 pixels and by a lens of
+    3 pixels; of `foreign` where given."""
     source = foreign or scene.marked
     rows = []
     for trial in range(trials):
         rng = np.random.default_rng((seed, trial))
         camera = random_view(source, rng, 800, 600)
-        picture = image_attack("jpeg").apply(to_8_bit(render(source, camera)), 80, rng=rng)
+        sharp = to_8_bit(render(source, camera))
+        picture = image_attack("jpeg").apply(sharp, 80, rng=rng)
         for name, shown in (
             ("screenshot", picture),
             ("part of it", _part(picture, rng)),
             ("on a page", _page(picture, rng)),
             ("scaled unevenly", _uneven(picture, rng)),
             ("off a screen", _photograph(picture, rng)),
+            ("motion blur", to_8_bit(image_attack("motion_blur").apply(sharp, 15.0, rng=rng))),
+            ("out of focus", to_8_bit(image_attack("blur").apply(sharp, 3.0, rng=rng))),
         ):
             result = verify_images([shown], scene.opened, VerifyConfig())
             rows.append({"scene": scene.name, "trial": trial, **claim_row(name, result)})
