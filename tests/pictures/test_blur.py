@@ -6,12 +6,22 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from engine.formats import read_model
+from engine.model import GaussianModel
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.landmarks.keypoints import luma
+from engine.raster import render, render_depth
 from tests.pictures.image_cases import attack, marked, picture
+from tests.pictures.plant_views import around
+from tests.scenes import PLANT
 
 SIDE = 500
 SOLID = np.ones((SIDE, SIDE), dtype=np.float32)
+
+
+@pytest.fixture(scope="module")
+def plant() -> GaussianModel:
+    return read_model(PLANT).model
 
 
 def line(length: float, degrees: float) -> np.ndarray:
@@ -89,6 +99,16 @@ def test_a_picture_that_is_not_blurred_has_none(name: str) -> None:
     case = marked()
     seen = attack(name, case.image)[0]
     assert find_blur(luma(case.plain), SOLID[: len(seen), : len(seen)], luma(seen)) is None
+
+
+@pytest.mark.parametrize("azimuth", [180, 225, 270])
+def test_a_picture_reduced_from_a_larger_one_has_none(plant: GaussianModel, azimuth: float) -> None:
+    """A render of its size looks otherwise, but not as a blur would have it."""
+    camera = around(plant, azimuth, 20.0, 1.2, 1.0)
+    large = np.clip(render(plant, camera.resized(960, 720)), 0.0, 1.0)
+    seen = large.reshape(360, 2, 480, 2, 3).mean(axis=(1, 3))
+    image, alpha, _ = render_depth(plant, camera)
+    assert find_blur(luma(image), alpha, luma(seen)) is None
 
 
 def test_another_picture_has_none() -> None:
