@@ -111,6 +111,19 @@ def test_a_picture_reduced_from_a_larger_one_has_none(plant: GaussianModel, azim
     assert find_blur(luma(image), alpha, luma(seen)) is None
 
 
+def test_the_kernel_of_a_sharp_picture_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most pictures are sharp: they take a first look only."""
+    monkeypatch.setattr("engine.pictures.alignment.blur._fit", lambda *_: pytest.fail("was fitted"))
+    case = marked()
+    assert find_blur(luma(case.plain), SOLID[:300, :300], luma(case.image)) is None
+
+
+def test_a_blur_far_wider_than_those_that_are_read_is_left() -> None:
+    sharp = picture(3, SIDE)
+    seen = ndimage.gaussian_filter(luma(sharp), 20.0)
+    assert find_blur(luma(sharp), SOLID, seen) is None
+
+
 def test_another_picture_has_none() -> None:
     assert find_blur(luma(picture(3, SIDE)), SOLID, luma(blurred(picture(4, SIDE), spot(2.0)))) is None
 
