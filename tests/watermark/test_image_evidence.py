@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from engine.flows.embed.layer_strengths import add_dc
+from engine.pictures.alignment.blur import Blur
 from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
 from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, PublicMark, gather_image_evidence
@@ -27,13 +28,15 @@ def marked_picture(ball: Ball, view: int) -> np.ndarray:
     return ball.original.render(view, add_dc(ball.model.sh, ball.displacement))
 
 
-def said(ball: Ball, picture: np.ndarray, view: int = 0) -> PictureEvidence:
+def said(ball: Ball, picture: np.ndarray, view: int = 0, blur: Blur | None = None) -> PictureEvidence:
     reference = ball.original.images[view]
     mark = marked_picture(ball, view) - reference
     mask = np.ones(picture.shape[:2], dtype=bool)
     layout = ball.plan.layout
+    if blur is not None:
+        picture, reference, mark = (blur.apply(image) for image in (picture, reference, mark))
     return gather_image_evidence(
-        layout, ball.original.views[view], reference, picture, mask, PublicMark(mark, np.sign(ball.signed))
+        layout, ball.original.views[view], reference, picture, mask, PublicMark(mark, np.sign(ball.signed), blur)
     )
 
 
@@ -63,6 +66,14 @@ def test_an_unmarked_picture_shows_nothing_where_a_mark_would_have_shown(ball: B
     found = read(ball, noisy)
     assert abs(z(ball, found)) < 4
     assert expected_z(found.y, found.weights, found.signal) > 5
+
+
+def test_what_a_blur_moved_is_pulled_back_to_where_it_came_from(ball: Ball) -> None:
+    """One that only moves the picture, by seven pixels and four, changes next to nothing."""
+    kernel = np.zeros((15, 15), dtype=np.float32)
+    kernel[3, 14] = 1.0
+    moved = z(ball, said(ball, marked_picture(ball, 0), blur=Blur(kernel)).evidence())
+    assert moved == pytest.approx(z(ball, read(ball, marked_picture(ball, 0))), rel=0.1)
 
 
 def test_a_patch_painted_over_saturates(ball: Ball) -> None:
