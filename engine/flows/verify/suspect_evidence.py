@@ -435,7 +435,7 @@ def read_renders(
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
         for sighting in place.sightings:
             read = read_known(sighting.picture, sighting.found, reference)
-            said = _added(said, read and read.evidence)
+            said = _added(said, None if read is None else read.evidence)
     for number, camera in enumerate(cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
@@ -443,7 +443,7 @@ def read_renders(
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.alike:
             read = read_known(picture, refined.camera, reference)
-            said = _added(said, read and read.evidence)
+            said = _added(said, None if read is None else read.evidence)
         clock.advance((number + 1) / len(cameras))
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
 
