@@ -5,6 +5,8 @@ Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` sa
 
 from service.client.answers import (
     Asset,
+    AssetReading,
+    Bits,
     Check,
     Claim,
     ClaimSummary,
@@ -12,6 +14,7 @@ from service.client.answers import (
     Event,
     Job,
     Me,
+    Reading,
     Share,
     Upload,
     Verified,
@@ -23,7 +26,9 @@ from service.client.webhooks import check_webhook
 
 __all__ = [
     "Asset",
+    "AssetReading",
     "AsyncClient",
+    "Bits",
     "Check",
     "Claim",
     "ClaimSummary",
@@ -32,6 +37,7 @@ __all__ = [
     "Event",
     "Job",
     "Me",
+    "Reading",
     "ServiceError",
     "Share",
     "Upload",

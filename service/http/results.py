@@ -28,13 +28,30 @@ _EMBEDDED: JsonValue = {
     "already_carries": [],
     "not_screened": 0,
 }
-_VERIFIED: JsonValue = {
-    "claim_id": "cl_f6b2ce7c59a1e745e1b7d86e",
-    "asset_id": "as_d40313a36c48f4baf73fb30a",
+_READING: dict[str, JsonValue] = {
     "verdict": "marked",
-    "confidence": 1.0,
+    "headline": "Watermark found",
+    "bits": {"string": "1000101111101000", "hex": "8be8"},
+    "no_bits": None,
+    "registered_bits": {"string": "1000101111101000", "hex": "8be8"},
+    "matching": 16,
+    "bit_accuracy": 1.0,
+    "reliability": [0.9999] * 16,
+    "z": 118.9,
+    "hypotheses": 2,
     "log10_false_claim": -3067.5,
+    "strength": 10190.0,
+    "confidence": 1.0,
+    "derived_fraction": 1.0,
+}
+_CLAIM_ID, _ASSET_ID = "cl_f6b2ce7c59a1e745e1b7d86e", "as_d40313a36c48f4baf73fb30a"
+_VERIFIED: JsonValue = {
+    **_READING,
+    "claim_id": _CLAIM_ID,
+    "asset_id": _ASSET_ID,
     "checks": [{"code": "record_intact", "ok": True, "text": "The record is whole and unaltered."}],
+    "others": [],
+    "links": {"claim": f"/v1/claims/{_CLAIM_ID}", "asset": f"/v1/assets/{_ASSET_ID}"},
 }
 
 
@@ -69,16 +86,62 @@ class CheckResult(TypedDict):
     text: str
 
 
+@with_config(ConfigDict(extra="forbid"))
+class Bits(TypedDict):
+    """A payload, most significant bit first."""
+
+    string: Annotated[str, Field(pattern="^[01?]+$", description="0 and 1; ? where nothing of a bit was read.")]
+    hex: Annotated[str | None, Field(description="null where a bit was not read.")]
+
+
+@with_config(ConfigDict(extra="forbid", json_schema_extra={"examples": [_READING]}))
+class Reading(TypedDict):
+    """What was read of one registered mark in the suspect; `mark3dgs verify --json` has the same members.
+
+    Detection is informed: the owner's record and key say where the bits are, and which were embedded. The verdict rests
+    on how clearly all bits were read together, not on how many match.
+    """
+
+    verdict: Literal["marked", "not_marked", "inconclusive"]
+    headline: Annotated[str, Field(description="The verdict in words.")]
+    bits: Annotated[Bits | None, Field(description="As extracted; null where nothing was read.")]
+    no_bits: Annotated[str | None, Field(description="Why there are none.")]
+    registered_bits: Annotated[Bits | None, Field(description="As the record has them.")]
+    matching: Annotated[int | None, Field(description="Bits that were read as registered.")]
+    bit_accuracy: Annotated[float | None, Field(description="matching / length; pure chance gives about 0.5.")]
+    reliability: Annotated[list[float] | None, Field(description="Per bit: probability of a right reading; 0.5: coin.")]
+    z: Annotated[float | None, Field(description="Detection statistic; 0 +- 1 without a mark.")]
+    hypotheses: Annotated[int, Field(description="Hypotheses tested; every bound is corrected for them.")]
+    log10_false_claim: Annotated[
+        float, Field(description="log10 of the upper bound on the probability that an unrelated key scores this high.")
+    ]
+    strength: Annotated[
+        float,
+        Field(ge=0, description="-log2 of that bound, in bits: 30 is 1 in 10^9; 128 is needed without attested date."),
+    ]
+    confidence: Annotated[
+        float, Field(description="1 - that bound; rounds to 1.0 from strength 53 on. Not the probability of a mark.")
+    ]
+    derived_fraction: Annotated[float | None, Field(description="Share of the registered model in the suspect.")]
+
+
+@with_config(ConfigDict(extra="forbid"))
+class AssetReading(Reading):
+    """Of one more asset."""
+
+    asset_id: str
+    copy_name: str
+
+
 @with_config(ConfigDict(extra="forbid", json_schema_extra={"examples": [_VERIFIED]}))
-class VerifyResult(TypedDict):
-    """Of a suspect that was checked; the claim says all of it."""
+class VerifyResult(Reading):
+    """Of a suspect that was checked: what was read of the asset that says most, and of others; the claim says all."""
 
     claim_id: str
     asset_id: Annotated[str | None, Field(description="null where none of all was recognised.")]
-    verdict: Literal["marked", "not_marked", "inconclusive"]
-    confidence: Annotated[float, Field(description="1 - min(1, bound); not the probability that it is marked.")]
-    log10_false_claim: Annotated[float, Field(description="Of the bound on a false claim, all tries counted.")]
     checks: list[CheckResult]
+    others: Annotated[list[AssetReading], Field(description="Other assets that were recognised, at most 20.")]
+    links: Annotated[dict[str, str], Field(description="claim, jws, report; asset; pack, where there is one.")]
     timestamp_failure: NotRequired[Annotated[str, Field(description="Why there is no time stamp.")]]
 
 
