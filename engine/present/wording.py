@@ -122,10 +122,11 @@ def recognizes(claim: Mapping[str, Any]) -> bool:
 
 def why_no_bits(claim: Mapping[str, Any]) -> str | None:
     """Why a claim has no bits; None where some were read."""
-    if claim["message"] is None:
-        return "no record was compared with the suspect"
-    if not recognizes(claim):
-        return "nothing of the registered model was recognized in the suspect"
+    searched = claim.get("searched") or {"compared": 0, "unreadable": 0}
+    if claim["message"] is None and searched["compared"] == searched["unreadable"]:
+        return "no record could be compared with the suspect"
+    if claim["message"] is None or not recognizes(claim):
+        return "nothing of a registered model was recognized in the suspect"
     known = max(claim["bit_reliability"]) > COIN
     return None if known else "what was recognized says nothing about the bits"
 

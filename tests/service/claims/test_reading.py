@@ -19,8 +19,10 @@ from service.client.answers import Verified, verified
 from service.core import Service
 from service.http import results
 from service.jobs.port import Job, State
+from service.problems import Problem
 from service.settings import Settings
-from tests.service.claims.cases import KINDS, PICTURES, reply
+from service.verifications.flow import spend_subject
+from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
 from tests.service.claims.conftest import Registry
 from tests.service.claims.test_searched import unrelated
 
@@ -30,12 +32,13 @@ MEMBERS = {each.name for each in fields(Reading)}
 @pytest.fixture
 def answer(registry: Registry, tmp_path: Any) -> Any:
     """The result of a job that came to a reply."""
-    service = Service.open(Settings(data_dir=tmp_path))
+    service, issued = Service.open(Settings(data_dir=tmp_path)), list[str]()
 
     def of(found: dict[str, Any]) -> dict[str, Any]:
-        job = Job("job_9", "acme", "key", "verify", State.RUNNING, {"model": "12" * 32, "images": []})
+        job = Job(f"job_{len(issued)}", "acme", "key", "verify", State.RUNNING, {"model": "12" * 32, "images": []})
         found = {"tried": [], "kept": {}, **found, "searched": {"scope": "one", "assets": 1}}
         result = dict(issue(service, job, of_what_was_found(found)))
+        issued.append(result["claim_id"])
         strict = TypeAdapter(results.VerifyResult).validate_python(result)
         assert strict == result, "members that the API's description does not have"
         return result
@@ -87,6 +90,10 @@ def test_nothing_is_said_of_bits_that_were_not_read(registry: Registry, answer: 
         None,
     )
     assert "recognized" in result["no_bits"]
+    assert (
+        "could be compared"
+        in answer(nothing() | {"tried": [{"asset": "as_1", "verdict": "could_not_check"}]})["no_bits"]
+    )
     claim = registry.issue(of_what_was_found(unrelated(searched={"scope": "one", "assets": 1})), "job_2")
     page = report_html(claim.document, claim.jws, PICTURES)
     assert "Message bits" not in page
@@ -109,3 +116,13 @@ def test_other_assets_have_an_entry_each(registry: Registry, answer: Any) -> Non
     assert (other["asset_id"], other["copy_name"], other["verdict"]) == ("as_2", "Atelier Sued", "inconclusive")
     assert other["registered_bits"]["hex"] == "8be81eaf"
     assert {*other} == MEMBERS | {"asset_id", "copy_name"}
+
+
+def test_copies_of_one_original_share_a_budget(registry: Registry, tmp_path: Any) -> None:
+    registry.register(id="as_2", job="job_of_2")
+    service = Service.open(Settings(data_dir=tmp_path, subject_verifies_per_day=2))
+    for asset in ("as_1", "as_2"):
+        spend_subject(service, "acme", asset)
+    with pytest.raises(Problem, match="at most 2 in 24 h"):
+        spend_subject(service, "acme", "as_2")
+    service.close()
