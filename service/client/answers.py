@@ -219,12 +219,27 @@ class Webhook:
 
 
 @dataclass(frozen=True)
+class Notice:
+    """A mark of the tenant's in what another account uploaded to be marked."""
+
+    id: str
+    asset_id: str  # of the tenant; of several copies, the one that says most
+    copy_named: bool | None  # whether the upload is that copy
+    z: float
+    log10_false_claim: float
+    strength: float  # -log2 of the bound, in bits
+    uploaded_as: str  # asset that the upload became, for a dispute
+    created_at: str
+
+
+@dataclass(frozen=True)
 class Event:
     """A message to a webhook."""
 
-    event: str  # job.ended
-    at: str  # when it ended
-    job: Job
+    event: str  # job.ended, mark.found
+    at: str  # when it happened
+    job: Job | None = None  # that ended
+    notice: Notice | None = None  # of a mark that was found
 
 
 @dataclass(frozen=True)

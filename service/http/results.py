@@ -1,5 +1,7 @@
 """What jobs come to, in the API's description. What an earlier version's job came to passes as it is."""
 
+import json
+import math
 from typing import (
     Annotated,
     Any,
@@ -7,7 +9,7 @@ from typing import (
     NotRequired,  # pydantic wants these before Python 3.12
 )
 
-from pydantic import BeforeValidator, ConfigDict, Field, JsonValue, with_config
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, with_config
 from typing_extensions import TypedDict
 
 Time = Annotated[str, Field(json_schema_extra={"format": "date-time"})]
@@ -27,6 +29,7 @@ _EMBEDDED: JsonValue = {
     "seconds": 10.5,
     "already_carries": [],
     "not_screened": 0,
+    "review": "Registered. ...",
 }
 _READING: dict[str, JsonValue] = {
     "verdict": "marked",
@@ -67,14 +70,8 @@ class EmbedResult(TypedDict):
     ssim_worst_view: float
     seconds: float
     already_carries: Annotated[list[str], Field(description="Assets of yours whose mark the model carried before.")]
-    not_screened: Annotated[int, Field(description="Similar copies, too many to check all: so many were not.")]
-
-
-@with_config(ConfigDict(extra="forbid"))
-class DisputedResult(TypedDict):
-    """Of a model that carries another's mark, and was not marked again."""
-
-    text: str
+    not_screened: Annotated[int, Field(description="Similar copies of yours, too many to check all: not checked.")]
+    review: Annotated[str, Field(description="What becomes of it; the same for every upload.")]
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -156,9 +153,7 @@ class DisputeResult(TypedDict):
 
 
 Earlier = Annotated[dict[str, Any], Field(title="Earlier result", description="Of an earlier version's job.")]
-Result = Annotated[
-    EmbedResult | VerifyResult | DisputeResult | DisputedResult | Earlier | None, Field(union_mode="left_to_right")
-]
+Result = Annotated[EmbedResult | VerifyResult | DisputeResult | Earlier | None, Field(union_mode="left_to_right")]
 
 
 @with_config(ConfigDict(extra="allow"))
@@ -183,3 +178,25 @@ class FileInfo(TypedDict):
     width: NotRequired[int]
     height: NotRequired[int]
     cameras: NotRequired[int]
+
+
+class Notice(BaseModel):
+    """A mark of yours in what another account uploaded to be marked."""
+
+    id: str
+    asset_id: str = Field(description="Your asset whose mark was found; of several copies, the one that says most.")
+    copy_named: bool | None = Field(description="Whether the upload is that copy; null where copies do not differ.")
+    z: float = Field(description="Detection statistic; 0 +- 1 without a mark.")
+    log10_false_claim: float = Field(description="log10 of the false-claim bound, corrected for all hypotheses.")
+    strength: float = Field(description="-log2 of that bound, in bits.")
+    uploaded_as: str = Field(description="Asset that the upload became, for a dispute (POST /v1/disputes).")
+    created_at: Time
+
+
+def notice_of(row: Any) -> Notice:
+    """What a row of `notices` says."""
+    found = json.loads(row.finding)
+    told = {name: found[name] for name in ("z", "log10_false_claim", "copy_named")}
+    strength = -found["log10_false_claim"] / math.log10(2.0)
+    about = {"asset_id": row.asset, "uploaded_as": row.upload, "created_at": row.created_at}
+    return Notice(id=row.id, strength=strength, **told, **about)

@@ -27,7 +27,7 @@ from sqlalchemy.exc import IntegrityError
 from service.clock import ago, now
 from service.db import Database, page
 from service.db.database import POSTGRES_CONNECT
-from service.db.schema import deliveries, jobs, webhooks
+from service.db.schema import ENDED, deliveries, jobs, webhooks
 from service.jobs.port import FINAL, Job, State
 from service.jobs.presence import Presence
 from service.problems import Problem
@@ -343,6 +343,7 @@ def _announce(connection: sa.Connection, job_id: str) -> None:
     """What the end of a job, in its own transaction, adds to the messages of its tenant's webhooks."""
     told = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
     told = told.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
+    told = told.where(webhooks.c.events.contains(ENDED))
     connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], told))
 
 
