@@ -122,7 +122,7 @@ def _row(job: Job, made: Mapping[str, Any], registered_at: str) -> dict[str, str
         "tenant": job.tenant,
         "job": job.id,
         "owner_key": asked["key_id"],
-        "label": asked["label"],
+        "label": asked["label"] or ", ".join(asked.get("names") or ())[:200],
         "copy": asked["copy_name"],
         **{name: made[name] for name in ("record_id", "message", "original_format")},
         "profile": asked["profile"],
