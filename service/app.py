@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -23,8 +23,9 @@ from service.disputes.endpoints import router as disputes
 from service.embeds.endpoints import router as embeds
 from service.embeds.notices import router as notices
 from service.health.endpoints import router as health
+from service.http.access import check_address
 from service.http.error_responses import install
-from service.http.middleware import BodyLimit, SafeHeaders
+from service.http.middleware import BodyGuard, SafeHeaders
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me
 from service.tracking.endpoints import router as jobs
@@ -87,6 +88,7 @@ def make_app(service: Service) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         lifespan=life,
+        dependencies=[Depends(check_address)],
         redirect_slashes=False,
     )
     app.state.service = service
@@ -94,7 +96,7 @@ def make_app(service: Service) -> FastAPI:
     for router in (*ours, notices, health):
         app.include_router(router)
     install(app)
-    app.add_middleware(BodyLimit, settings=service.settings)
+    app.add_middleware(BodyGuard, settings=service.settings)
     app.add_middleware(SafeHeaders)
 
     @app.get("/", include_in_schema=False)

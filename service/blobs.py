@@ -60,28 +60,28 @@ class Blobs:
 
     def local(self, sha256: str, into: Path) -> Path:
         """A path where the blob can be read: its own where blobs are local, else a copy in the folder `into`."""
-        return self.local_part(blob_name(sha256), into)
-
-    def local_part(self, name: str, into: Path) -> Path:
-        """As `local`, for a part of an upload."""
+        name = blob_name(sha256)
         if self.folder is not None:
             path = self.folder / name
             if not path.is_file():
                 raise Problem("not-found", f"the blob {name} is gone")
             return path
         into.mkdir(parents=True, exist_ok=True)
-        target = into / name.replace("/", "-")
+        target = into / sha256
         if not target.exists():
             part = target.with_suffix(".part")
-            try:
-                stream = obstore.get(self.store, name).stream(min_chunk_size=_CHUNK)
-            except FileNotFoundError:
-                raise Problem("not-found", f"the blob {name} is gone") from None
             with part.open("wb") as file:
-                for chunk in stream:
-                    file.write(chunk)
+                file.writelines(self.chunks(name))
             part.replace(target)
         return target
+
+    def chunks(self, name: str) -> Iterator[bytes]:
+        """The bytes under a name, some MiB at a time; not-found where there are none."""
+        try:
+            for chunk in obstore.get(self.store, name).stream(min_chunk_size=_CHUNK):
+                yield bytes(chunk)
+        except FileNotFoundError:
+            raise Problem("not-found", f"the blob {name} is gone") from None
 
     def read(self, sha256: str) -> bytes:
         """The bytes of a small blob."""
@@ -94,9 +94,9 @@ class Blobs:
         """SHA-256 of the bytes that lie under that digest; "" where there are none."""
         found = hashlib.sha256()
         try:
-            for chunk in obstore.get(self.store, blob_name(sha256)).stream(min_chunk_size=_CHUNK):
+            for chunk in self.chunks(blob_name(sha256)):
                 found.update(chunk)
-        except (FileNotFoundError, ValueError):
+        except (Problem, ValueError):
             return ""
         return found.hexdigest()
 

@@ -16,9 +16,10 @@ from service.db import Database
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run
 from service.problems import Problem
-from service.processes import Reply
+from service.processes import Answer, Reply
 from service.settings import Settings
 from service.trust.commitments import registration_of
+from service.trust.draws import vouching
 from service.trust.master import MasterKey
 from service.trust.owner_keys import open_key
 
@@ -35,7 +36,8 @@ class Candidate(TypedDict):
     original: str  # SHA-256
     record: str  # path; "" where it is gone
     key: str  # secret owner key, hex
-    logged: dict[str, str]
+    logged: dict[str, str]  # when the log registered it: `at`
+    vouched: str  # certificates (PEM) that vouch for the time-stamping service that drew for it; "" for none
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,9 @@ class Service:
         blobs = Blobs(settings.blob_url, settings.data_dir / "blobs", settings.scratch)
         return cls(settings, db, blobs, MasterKey.open(settings, db), DurableJobs(db, settings.jobs_database()))
 
-    def do_task(self, run: Run, task: str, request: Mapping[str, Any]) -> Reply:
+    def do_task(self, run: Run, task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:
         """Do a task of `service.work` in a step; its reply, with `kept` (name -> SHA-256) in place of its `files`."""
-        reply = run.work(task, request)
+        reply = run.work(task, request) if answer is None else run.work(task, request, answer)
         files: dict[str, str] = reply.pop("files", {})
         return reply | {"kept": {name: self.blobs.put(run.folder / file) for name, file in files.items()}}
 
@@ -84,7 +86,7 @@ class Service:
         """
         rows = list(rows)
         found: list[Candidate] = []
-        logged = self._logged([row.id for row in rows])
+        logged, vouched = self._logged([row.id for row in rows]), vouching(self.settings)
         for row in rows:
             try:
                 key = open_key(self.db, self.master, row.tenant, row.owner_key)
@@ -99,17 +101,16 @@ class Service:
                     "record": self.local_or_gone(row.record_sha256, run),
                     "key": key.secret.hex(),
                     "logged": logged[row.id],
+                    "vouched": vouched,
                 }
             )
         return found
 
     def _logged(self, names: list[str]) -> dict[str, dict[str, str]]:
-        """What the log says of each registration: when, and the digest of what was drawn for it ("" for old ones)."""
+        """What the log says of each registration: when."""
         with self.db.read() as connection:
             entries = [registration_of(connection, name) for name in names]
-        return {
-            entry.subject: {"at": entry.at, "drawn_sha256": entry.payload.get("drawn_sha256", "")} for entry in entries
-        }
+        return {entry.subject: {"at": entry.at} for entry in entries}
 
     def close(self) -> None:
         """Give connections back."""

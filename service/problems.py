@@ -14,6 +14,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "forbidden": (403, "This API key may not do that"),
     "not-found": (404, "There is no such thing here"),
     "method-not-allowed": (405, "This address does not take that method"),
+    "too-slow": (408, "The body came too slowly"),
     "conflict": (409, "This does not fit the present state"),
     "request-in-flight": (409, "A request with this Idempotency-Key is being answered"),
     "length-required": (411, "The length must be known"),
@@ -32,6 +33,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "internal": (500, "A fault of this service"),
     "engine-limit": (500, "The work exceeded its limits"),
     "storage-full": (507, "No space left"),
+    "no-time-stamp": (502, "The time-stamping service gave no stamp"),
     "unavailable": (503, "A part of the service does not answer"),
 }
 """Kind -> (HTTP status, title). The kind is the last part of `type` and never changes its meaning."""

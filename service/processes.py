@@ -61,6 +61,8 @@ class Limits:
         return 2 * self.cpu_seconds + 60
 
 
+Answer = Callable[[str], str]
+"""Answers what a task asks while it runs."""
 Reply = dict[str, Any]
 """What a task of `service.work` replies: JSON values, by names that the task's docstring has."""
 
@@ -99,19 +101,20 @@ class Children:
         request: Mapping[str, Any],
         folder: Path,
         go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
+        answer: Answer | None = None,
     ) -> Reply:
         """Do a task and return its reply; its files lie in `folder`. A request, with its secrets, goes through a pipe.
 
         `go_on` is called with stage and fraction about three times a second, changed or not; False ends the task with
-        `Cancelled`. Raises `Stopped` after `stop`, and the `Problem` that the task replied, or engine-limit where the
-        process died.
+        `Cancelled`. `answer` answers what the task asks. Raises `Stopped` after `stop`, and the `Problem` that the task
+        replied, or engine-limit where the process died.
         """
         limits = asdict(self._limits)
         envelope = {"task": task, "request": request, "folder": str(folder), "limits": limits}
         line = json.dumps(envelope).encode() + b"\n"
         try:
             process = self._take(line)
-            return self._follow(process, go_on)
+            return self._follow(process, go_on, answer)
         finally:
             self._end_running()
             self.prepare()
@@ -144,7 +147,9 @@ class Children:
                     return process  # it died of itself; `_follow` says of what
                 # The spare had died while it waited, which is no fault of this task; take a new one.
 
-    def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> Reply:
+    def _follow(
+        self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool], answer: Answer | None
+    ) -> Reply:
         lines: queue.Queue[bytes] = queue.Queue()
         threading.Thread(target=_read, args=(process, lines), daemon=True).start()
         started = looked = time.monotonic()
@@ -159,7 +164,10 @@ class Children:
                     return dict(said["reply"])
                 if "error" in said:
                     raise _problem(said["error"])
-                stage, fraction = str(said["stage"]), float(said["fraction"])
+                if "ask" in said:
+                    _tell(process, answer, str(said["ask"]))
+                else:
+                    stage, fraction = str(said["stage"]), float(said["fraction"])
             now = time.monotonic()
             if now - looked >= SECONDS_BETWEEN_LOOKS:
                 looked = now
@@ -288,12 +296,24 @@ def _read(process: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
 def _parse(line: bytes) -> dict[str, Any]:
     try:
         said = json.loads(line)
-        if isinstance(said, dict) and (said.keys() & {"reply", "error"} or said.keys() >= {"stage", "fraction"}):
+        ends = {"reply", "error", "ask"}
+        if isinstance(said, dict) and (said.keys() & ends or said.keys() >= {"stage", "fraction"}):
             return said
     except ValueError:
         pass
     _log.error("a task's process said something that is no answer: %r", line[:200])
     raise Problem("internal", "the work gave an answer that cannot be read")
+
+
+def _tell(process: subprocess.Popen[bytes], answer: Answer | None, question: str) -> None:
+    """Answer what a task asked; one that is gone by then is found dead later."""
+    if answer is None:
+        raise Problem("internal", "the work asked something that nobody here can answer")
+    line = json.dumps({"answer": answer(question)}).encode() + b"\n"
+    with suppress(BrokenPipeError):
+        stdin = _pipe(process.stdin)
+        stdin.write(line)
+        stdin.flush()
 
 
 def _problem(plain: Mapping[str, Any]) -> Problem:

@@ -27,6 +27,9 @@ class Settings(BaseSettings):
         15.0, gt=0, description="A worker not heard of for this long is given up; others take over its jobs."
     )
 
+    connections: int = Field(
+        1000, ge=10, description="Connections to an API process at a time; further requests answer 503."
+    )
     max_upload_bytes: int = Field(2 * GIB, gt=0, description="Largest upload.")
     max_form_bytes: int = Field(64 * MIB, gt=0, description="Largest multipart form; larger files go by upload.")
     max_body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON body.")
@@ -70,6 +73,11 @@ class Settings(BaseSettings):
         "", pattern=r"^(https?://[^\s]+)?$", description="Address of this service, as claims and reports name it."
     )
     tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
+    tsa_certificates: str = Field(
+        "",
+        description="File with the certificates (PEM) that vouch for it: records are then drawn for by it, and claims"
+        " need 1 in 10^9; empty: 1 in 2^128.",
+    )
     credentials_certificates: str = Field(
         "", description="File with the certificate chain (PEM) that signs Content Credentials; empty: none are made."
     )

@@ -33,10 +33,10 @@ def attest(
 ) -> int:
     """Let a third party attest a record's date.
 
-    A claim at 1 in 10^9 needs that; without it a claim must reach 1 in 2^128.
-    Do it when you mark a model, before you publish it: what counts is that the
-    record is older than the suspect. Only a digest of the record leaves this
-    machine. Without an option it lists what the record has.
+    It says since when the record exists; the bound that a claim needs stays
+    1 in 2^128. Do it when you mark a model, before you publish it: what counts
+    is that the record is older than the suspect. Only a digest of the record
+    leaves this machine. Without an option it lists what the record has.
 
     Examples:
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from engine.present.numerals import Form, percent, surely, when
 from engine.watermark.claim import SCATTERED
-from engine.watermark.rates import BASES
+from engine.watermark.rates import BASES, conditions_of
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 
 HEADLINES = {"marked": "Watermark found", "not_marked": "Your unmarked original", "inconclusive": "Inconclusive"}
@@ -145,14 +145,15 @@ _COMPUTED = "Either it was never marked, or it was computed from one or more mar
 
 def _would(claim: Mapping[str, Any], form: Form) -> str:
     """Under what condition it would be a claim, and at which rate."""
-    conditions = claim.get("conditions") or ["a third party attested that the registration is older than the suspect"]
+    known = claim.get("conditions") or [each.text for each in conditions_of("self_declared")]
+    conditions = [each if isinstance(each, str) else each["text"] for each in known]  # earlier ones are sentences
     return f"This would be a claim at {form.rate(CHANCE_RATE)} if {' and '.join(conditions)}"
 
 
 def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
     found = []
     if claim["message"] is not None:
-        tried = f"corrected for {claim['tries']} {'hypothesis' if claim['tries'] == 1 else 'hypotheses'}"
+        tried = f"corrected for {claim['tries']:,} {'hypothesis' if claim['tries'] == 1 else 'hypotheses'}"
         odds, needed = form.odds(claim["log10_false_claim"]), _needed(claim, form)
         found.append(Fact("false claim", f"{odds} (z {claim['z']:.3g}), {tried}; required: {needed}", leading=True))
         bits = f"{claim['message']}: {claim['matching_bits']}/{claim['bits']} bits match; {_sureness(claim)}"

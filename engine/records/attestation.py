@@ -58,7 +58,6 @@ class Witness:
 
     at: str  # UTC, ISO 8601
     by: str  # who says so, for people
-    drawn_sha256: str = ""  # digest of what the attester drew for the record's plan; empty where he drew nothing
 
 
 def read_attestations(data: bytes) -> tuple[Attestation, ...]:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from engine.errors import MalformedRecordError, WrongKeyError
 from engine.numerics.plain import Json
 from engine.records.codec import packed_parts
-from engine.watermark.keys import COPY_NAME, RECORD_CHECK, RECORD_ID, OwnerKey
+from engine.watermark.keys import COPY_NAME, DRAW_TERMS, RECORD_CHECK, RECORD_ID, OwnerKey
 
 FORMAT_VERSION = 3
 """Of records made here; those of 1 and 2 are read. 2 has the grain, and settles strengths before chips are drawn. 3 has
@@ -49,10 +49,20 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
     plan, arrays
         As given to `Record.make`, equal to the last bit.
     """
+    return key.derive(RECORD_ID, _settled(reference, copy, plan, arrays))[:16]
+
+
+def make_draw_terms(key: OwnerKey, reference: bytes, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
+    """32 bytes that no other key, reference or plan gives, and that tell nothing of these: what a time-stamping service
+    that draws for a plan stamps together with the original's digest. Parameters as for `make_record_id`."""
+    return key.derive(DRAW_TERMS, _settled(reference, "", plan, arrays))
+
+
+def _settled(reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
     settled = sha256(b"mark3dgs plan\0" + reference)
     for part in packed_parts({"copy": copy, "plan": plan}, arrays):
         settled.update(part)
-    return key.derive(RECORD_ID, settled.digest())[:16]
+    return settled.digest()
 
 
 def chip_context(reference: bytes, record_id: bytes) -> bytes:

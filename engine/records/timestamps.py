@@ -9,6 +9,7 @@ from datetime import UTC
 from http.client import HTTPException
 
 from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import utils
 from rfc3161_client import (
     HashAlgorithm,
     PKIStatus,
@@ -22,6 +23,8 @@ from rfc3161_client import (
 SECONDS = 10.0
 """How long a time-stamping service may take to answer, and to send its answer."""
 MOST_BYTES = 64 * 1024
+
+_OCTETS, _SEQUENCE, _SET = 0x04, 0x30, 0x31  # tags of DER
 
 
 class TimestampFault(Exception):
@@ -78,6 +81,56 @@ def check_stamp(token: bytes, data: bytes, roots: Sequence[x509.Certificate]) ->
     except Exception as error:  # parsers of foreign certificates raise many kinds; whichever it is, it does not hold
         raise TimestampFault(f"the time stamp's signature does not hold: {error}") from None
     return at
+
+
+def drawn_from(token: bytes) -> str:
+    """64 hexadecimal digits that a time stamp draws: they follow from its signature, and from nothing else in it.
+
+    Whoever holds a stamp can change what the signature does not cover: unsigned attributes, certificates, revocation
+    lists, algorithm names, the reply's status. None of it enters, not even to tell the kind of signature. Where (r, s)
+    is a signature by ECDSA, (r, n - s) is one, too, which anybody can make: r alone enters. A verifier takes one
+    spelling of a number, and of an RSA signature there is one. So other digits take another request to the service.
+
+    TimestampFault if it is no stamp with one signature; whether that holds, and whose it is, `check_stamp` says.
+    """
+    response = _read(token)
+    try:
+        signature = _signature(response.time_stamp_token())
+    except (ValueError, IndexError) as error:
+        raise TimestampFault(f"the time stamp's signature cannot be read: {error}") from None
+    try:
+        drawn = b"ecdsa\0%x" % utils.decode_dss_signature(signature)[0]
+    except ValueError:  # no two numbers in DER
+        drawn = b"plain\0" + signature
+    return hashlib.sha256(b"mark3dgs draw\0" + drawn).hexdigest()
+
+
+def _signature(token: bytes) -> bytes:
+    """The signature in a ContentInfo of SignedData (RFC 5652): one signer's, else ValueError."""
+    (content,) = _parts(token, _SEQUENCE)
+    _, wrapped = _parts(content[1])
+    (signed,) = _parts(wrapped[1])
+    tag, signers = _parts(signed[1])[-1]
+    if tag != _SET:
+        raise ValueError("no signers")
+    (signer,) = _parts(signers, _SEQUENCE)
+    (signature,) = (value for tag, value in _parts(signer[1]) if tag == _OCTETS)
+    return signature
+
+
+def _parts(data: bytes, only: int | None = None) -> list[tuple[int, bytes]]:
+    """Tag and content of each DER value in turn; the library has read them all, so lengths are well-formed."""
+    found, at = [], 0
+    while at < len(data):
+        tag, length, at = data[at], data[at + 1], at + 2
+        if length & 0x80:
+            width = length & 0x7F
+            length, at = int.from_bytes(data[at : at + width], "big"), at + width
+        if at + length > len(data) or only not in (None, tag):
+            raise ValueError("it has another form")
+        found.append((tag, data[at : at + length]))
+        at += length
+    return found
 
 
 def _query(data: bytes) -> TimeStampRequest:

@@ -52,7 +52,7 @@ def _check_statement(value: str, data: bytes, trust: Trust) -> Witness:
         entry, bound = said["entry"], said["header_sha256"]
         steps, root = [bytes.fromhex(step) for step in said["proof"]], bytes.fromhex(said["root"])
         included = check_inclusion(leaf_hash(rfc8785.dumps(entry)), entry["index"], said["size"], steps, root)
-        event, at, drawn = entry["event"], str(entry["at"]), str(entry["payload"].get("drawn_sha256", ""))
+        event, at = entry["event"], str(entry["at"])
         logged = entry["payload"]["record_sha256"] == sha256(split(data)[0]).hexdigest()
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise SignatureFault("a service's word on a registration has another form") from None
@@ -60,4 +60,4 @@ def _check_statement(value: str, data: bytes, trust: Trust) -> Witness:
         raise SignatureFault("a service's word is about another record")
     if not included:
         raise SignatureFault("the log's proof of the registration does not lead to its root")
-    return Witness(at, f"the log of the service with the key {kid}", drawn)
+    return Witness(at, f"the log of the service with the key {kid}")

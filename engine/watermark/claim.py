@@ -18,7 +18,7 @@ from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
 from engine.watermark.power import Moments, moments
 from engine.watermark.power import change as measured
-from engine.watermark.rates import AppliedRate
+from engine.watermark.rates import AppliedRate, Condition
 from engine.watermark.statistics import (
     CHANCE_RATE,
     DISHONEST_CLAIMANT_RATE,
@@ -61,7 +61,8 @@ class ClaimConfig:
     rate_basis: str = "attested"  # why this rate applies, a key of `rates.BASES`
     # The rate that would apply if the registration were attested and older than the suspect; None where it cannot be
     rate_if_attested: float | None = None
-    condition: str = ""  # under which that rate would apply
+    conditions: tuple[Condition, ...] = ()  # under which that rate would apply
+    draws: int = 1  # records that may have been tried out beforehand: each multiplies the hypotheses
     power: float = 0.999  # least proven power of the answer `not_marked`; in (0, 1)
     # Share of the mark's amplitude assumed left when power is computed, in (0, 1]: `not_marked` says that even a mark
     # worn down to this share would have been seen
@@ -77,7 +78,7 @@ class ClaimConfig:
     @classmethod
     def at(cls, rate: AppliedRate) -> ClaimConfig:
         """The usual demands, at the rate that applies."""
-        return cls(rate.rate, rate.basis, rate.if_attested, rate.condition)
+        return cls(rate.rate, rate.basis, rate.if_attested, rate.conditions, rate.tries)
 
     def __post_init__(self) -> None:
         for name in ("false_claim_rate", "power", "doubt_rate"):
@@ -119,7 +120,7 @@ class Claim:
     would_be_claim_if_attested: bool
     # Whether the bound is at most 2^-128 too: needed where the record is not known to be older than the suspect
     meets_dishonest_claimant_rate: bool
-    tries: int  # hypotheses tried (records x transforms x routes)
+    tries: int  # hypotheses tried (records x transforms x routes, x draws where a time-stamping service drew)
     # Proven lower bound of the probability to reach the threshold, had the mark been there at the `surviving` share of
     # its strength
     power: float
@@ -149,7 +150,7 @@ class Claim:
     # owner's already. None where `copy_z` is
     copy_named: bool | None = None
     # Under which the answer would be a claim, where `would_be_claim_if_attested`
-    conditions: tuple[str, ...] = ()
+    conditions: tuple[Condition, ...] = ()
 
     @property
     def derived_fraction(self) -> float | None:
@@ -160,7 +161,7 @@ class Claim:
         """Plain dict of JSON values."""
         plain = asdict(self) | {"derived": self.derivation.derived, "derived_fraction": self.derived_fraction}
         plain.update(verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes))
-        plain.update(conditions=list(self.conditions))
+        plain.update(conditions=[condition.to_json() for condition in self.conditions])
         return plain
 
 
@@ -212,7 +213,7 @@ def decide(
         What an answer must satisfy.
     """
     known, config = known or Circumstances(), config or ClaimConfig()
-    tries = known.tries
+    tries = known.tries * config.draws
     # 1. Set the threshold.
     threshold = z_threshold(config.false_claim_rate, tries)
     # 2. Compute one statistic.
@@ -263,7 +264,7 @@ def decide(
         false_claim_rate=config.false_claim_rate,
         rate_basis=config.rate_basis,
         would_be_claim_if_attested=would,
-        conditions=(config.condition,) if would and config.condition else (),
+        conditions=config.conditions if would else (),
         meets_dishonest_claimant_rate=log10_bound <= math.log10(DISHONEST_CLAIMANT_RATE),
         tries=tries,
         power=strength,
@@ -282,7 +283,7 @@ def decide(
         notes=known.notes,
         layers=None if known.layers is None else dict(known.layers),
         copy_z=known.copy_z,
-        copy_named=None if known.copy_z is None else known.copy_z >= z_threshold(CHANCE_RATE, tries),
+        copy_named=None if known.copy_z is None else known.copy_z >= z_threshold(CHANCE_RATE, known.tries),
     )
 
 

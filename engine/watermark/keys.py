@@ -38,6 +38,7 @@ MESSAGE = "message"
 RECORD_SEAL = "record seal"
 RECORD_ID = "record id"
 RECORD_CHECK = "record check"
+DRAW_TERMS = "draw terms"
 COPY_NAME = "copy name"
 FINGERPRINT = "fingerprint"
 

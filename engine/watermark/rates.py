@@ -1,13 +1,15 @@
 """Which false-claim rate a claim must meet: not the claimant's choice (DESIGN 4.9).
 
 A record made after its owner saw the suspect can be the best of very many tried: 10^10 plans reach a bound of 10^-9 by
-chance. So 10^-9 is enough only where a third party that attests the record contributed randomness to its chips, so that
-records could not be tried out. Else the bound must be below 2^-128. That the suspect did not exist before the record is
-what nobody can attest: a date since when it is known is the owner's word, and makes a condition, never a rate.
+chance. So 10^-9 is enough only where the chips follow from a time-stamping service's signature over the plan, so that
+each record that is tried out takes a request to that service; DRAWS requests are counted as hypotheses. Else the bound
+must be below 2^-128. That the suspect did not exist before the record is what nobody can attest: a date since when it
+is known is the owner's word, and makes a condition, never a rate.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import StrEnum
 
 from engine.errors import InputError
 from engine.numerics.plain import Json
@@ -15,7 +17,7 @@ from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 
 BASES = {
     "attested": "the registration is attested, and older than the suspect",
-    "drawn": "the registration is attested, and the attesting service contributed randomness to the watermark",
+    "drawn": "the registration is attested, and a time-stamping service's signature contributed to the watermark",
     "self_declared": "the registration date is self-declared",
     "undated": "the registration is attested, but the date since when the suspect is known is missing",
     "dated": "the registration is attested; that the suspect is younger is the owner's own statement",
@@ -24,7 +26,42 @@ BASES = {
 """Why a rate applies."""
 
 DEMANDS = {basis: CHANCE_RATE if basis in ("attested", "drawn") else DISHONEST_CLAIMANT_RATE for basis in BASES}
-"""Largest rate that does, by its basis."""
+"""Largest rate that does, by its basis. `attested` is of claims before version 4 alone."""
+
+DRAWS = 1 << 20
+"""Records that may have been tried out where a time-stamping service drew: each takes a request to it."""
+
+
+class ConditionKind(StrEnum):
+    """What is to be shown for a bound between the two rates to be a claim."""
+
+    REGISTERED_BEFORE = "registered_before"  # the registration is older than the suspect
+    SUSPECT_SINCE = "suspect_since"  # the suspect did not exist before a date
+
+
+OWNER, ATTESTATION = "owner", "attestation"
+"""Who vouches for a condition: the owner, by his word, or a third party's attestation, which is yet to be given."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Under which a bound between the two rates would be a claim."""
+
+    kind: ConditionKind
+    date: str | None  # of SUSPECT_SINCE, ISO 8601
+    by: str  # who vouches for it: OWNER or ATTESTATION
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        if self.kind is ConditionKind.REGISTERED_BEFORE:
+            return "a third party attested that the registration is older than the suspect"
+        whose = "which is the owner's word" if self.by == OWNER else "which is attested"
+        return f"the suspect did not exist before {self.date}, {whose}"
+
+    def to_json(self) -> Json:
+        """Plain values, with the words."""
+        return {"kind": self.kind.value, "date": self.date, "by": self.by, "text": self.text}
 
 
 @dataclass(frozen=True)
@@ -33,9 +70,10 @@ class Attested:
 
     at: str  # UTC, ISO 8601
     by: str  # who says so, for people
-    # The attester drew a part of the plan, which decides the chips, when the reference and the key were settled:
-    # many records could not be tried beforehand
+    # The chips follow from a time-stamping service's signature over key, original and plan, which was checked: records
+    # could be tried out by asking it only
     drawn: bool = False
+    tries: int = DRAWS  # records that may have been tried out so
 
     def __post_init__(self) -> None:
         _ = self.moment
@@ -47,7 +85,7 @@ class Attested:
 
     def to_json(self) -> Json:
         """Plain values."""
-        return asdict(self)
+        return {"at": self.at, "by": self.by, "drawn": self.drawn}
 
 
 @dataclass(frozen=True)
@@ -59,7 +97,8 @@ class AppliedRate:
     # The rate that would do if the registration were attested and older than the suspect; None where the suspect is
     # known to be older
     if_attested: float | None
-    condition: str = ""  # under which a bound between the two rates would be a claim
+    conditions: tuple[Condition, ...] = ()  # under which a bound between the two rates would be a claim
+    tries: int = 1  # records that may have been tried out, each a hypothesis
 
 
 def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str = "") -> AppliedRate:
@@ -77,10 +116,17 @@ def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str =
     basis = _basis(attested, suspect_seen)
     if basis == "younger":
         return AppliedRate(min(asked, DEMANDS[basis]), basis, None)
-    condition = "a third party attested that the registration is older than the suspect"
+    tries = attested.tries if attested is not None and basis == "drawn" else 1
+    return AppliedRate(min(asked, DEMANDS[basis]), basis, usual, conditions_of(basis, suspect_seen), tries)
+
+
+def conditions_of(basis: str, suspect_seen: str = "") -> tuple[Condition, ...]:
+    """What a bound between the two rates waits for, by the basis of the rate that applies."""
     if basis == "dated":
-        condition = f"the suspect did not exist before {suspect_seen}, which is the owner's word"
-    return AppliedRate(min(asked, DEMANDS[basis]), basis, usual, condition)
+        return (Condition(ConditionKind.SUSPECT_SINCE, suspect_seen, OWNER),)
+    if basis in ("self_declared", "undated"):
+        return (Condition(ConditionKind.REGISTERED_BEFORE, None, ATTESTATION),)
+    return ()
 
 
 def _basis(attested: Attested | None, suspect_seen: str) -> str:
@@ -107,5 +153,5 @@ def moment(text: str) -> datetime:
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 
 
-MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "whoever measures", drawn=True)
+MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "whoever measures", drawn=True, tries=1)
 """For measurements, whose records are older than their suspects."""

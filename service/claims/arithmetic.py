@@ -8,10 +8,10 @@ from importlib.metadata import version
 from typing import Any
 
 from engine.watermark.claim import ClaimConfig
-from engine.watermark.rates import DEMANDS
+from engine.watermark.rates import DEMANDS, DRAWS, conditions_of, moment
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
 from service.claims.document import document_words
-from service.claims.schema import SCHEMA_VERSION
+from service.claims.schema import DRAWN_BY_STAMP, SCHEMA_VERSION
 
 
 class Status(StrEnum):
@@ -36,6 +36,8 @@ def arithmetic_fault(document: Mapping[str, Any]) -> str:
     checks = [_bound_fault, _evidence_fault]
     if document["schema_version"] > 1:
         checks += [_rate_fault, _derivation_fault]
+    if document["schema_version"] >= DRAWN_BY_STAMP:
+        checks += [_drawing_fault, _conditions_fault]
     return next(filter(None, (check(document) for check in (*checks, _search_fault, _message_fault))), "")
 
 
@@ -101,6 +103,36 @@ def _rate_fault(document: Mapping[str, Any]) -> str:
         return f"the record is called {basis!r}, but what is attested says otherwise"
     enough = document["log10_false_claim"] <= math.log10(CHANCE_RATE) and document["verdict"] != "marked"
     return "a bound above 10^-9 would be no claim, attested or not" if would and not enough else ""
+
+
+def _drawing_fault(document: Mapping[str, Any]) -> str:
+    """A rate above 2^-128 rests on a time stamp that drew for the record, each request for one being a hypothesis:
+    dates alone carried it in earlier versions."""
+    threshold, attested, drawing = document["threshold"], document["attested"], document["drawing"]
+    if (drawing is not None) != (attested is not None and attested["drawn"]):
+        return "what is attested and the time stamp that drew for the record do not go together"
+    if threshold is None or threshold["false_claim_rate"] <= DISHONEST_CLAIMANT_RATE:
+        return ""
+    rate, version = f"a rate of {threshold['false_claim_rate']:g}", document["schema_version"]
+    if drawing is None:
+        return f"{rate} needs a time stamp that drew for the record, in a claim of version {version}; there is none"
+    return f"{rate} counts {DRAWS:,} requests to who drew as hypotheses" if document["tries"] % DRAWS else ""
+
+
+def _conditions_fault(document: Mapping[str, Any]) -> str:
+    """What the bound waits for follows from the basis of the rate, and the dates fit it."""
+    stated, threshold, attested = document["conditions"], document["threshold"], document["attested"]
+    if threshold is None or not document["would_be_claim_if_attested"]:
+        return "conditions are named of what needs none" if stated else ""
+    basis = threshold["basis"]
+    date = next((each["date"] or "" for each in stated), "")
+    if not stated or stated != [each.to_json() for each in conditions_of(basis, date)]:
+        return f"the conditions are not those of a record that is {basis!r}"
+    try:
+        younger = basis != "dated" or moment(date) > moment(attested["at"])
+    except ValueError:
+        return f"{date!r} is no date since when a suspect is known"
+    return "" if younger else f"a suspect that is known since {date} is not younger than the registration"
 
 
 def _derivation_fault(document: Mapping[str, Any]) -> str:

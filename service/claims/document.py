@@ -65,7 +65,7 @@ def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
         return told
     text = f"None of {reply['searched']['assets']} registered assets was recognised; records compared: {len(tried)}"
     text += f", of which {unreadable} could not be opened." if unreadable else "."
-    unnamed = dict.fromkeys(("asset", "claim", "attested", "registered_message", "regions"))
+    unnamed = dict.fromkeys(("asset", "claim", "attested", "drawing", "registered_message", "regions"))
     kept = {name: digest for name, digest in reply["kept"].items() if name == "suspect"}  # the others show an asset
     return told | unnamed | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
@@ -107,6 +107,7 @@ def build_document(
         },
         **dict.fromkeys(("asset", "original", "record_id", "copy", "registered_at")),
         "attested": {**reply["attested"], "at": registered_at} if reply["attested"] is not None else None,
+        "drawing": reply.get("drawing"),  # replies of before have none
         "tries": reply["tries"],
         "checks": [{name: check[name] for name in ("code", "ok", "text")} for check in reply["checks"]],
         "pictures": dict(pictures),

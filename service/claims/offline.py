@@ -2,10 +2,12 @@
 
 1. Find the signed claim in the file.          5. The claim is under the log's root.
 2. The signature, by one of the given keys.    6. So are the asset's registration and earlier logs.
-3. The document's form.                        7. What stands around the claim says what was signed.
-4. Its numbers and words follow from others.   8. The time stamp, if there is one.
+3. The document's form.                        7. What was drawn for the record follows from a time stamp.
+4. Its numbers and words follow from others.   8. What stands around the claim says what was signed.
+                                               9. The time stamp, if there is one.
 """
 
+import base64
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,9 +16,10 @@ from typing import Any
 from cryptography import x509
 from pydantic import ValidationError
 
+from engine.flows.records.draw import Draw
 from engine.records.merkle import check_inclusion, leaf_hash
 from engine.records.signatures import SignatureFault, verify
-from engine.records.timestamps import TimestampFault, check_stamp, stamped_at
+from engine.records.timestamps import TimestampFault, check_stamp, drawn_from, stamped_at
 from service.claims.arithmetic import Check, Status, arithmetic_fault, meaning_check
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
 from service.claims.document import summary_of
@@ -85,8 +88,10 @@ def verify_report(
         sizes = " and ".join(str(each["size"]) for each in earlier)
         say("history", history_fault(audit), f"The log begins as it was when it had {sizes} entries.")
     checks += against_others(document, others, jwks)
-    checks += _around(data, carried, document, payload)  # 7
-    if carried.timestamp is not None:  # 8
+    if document.get("drawing") is not None:  # 7
+        checks.append(_drawing(document, tsa_certificates))
+    checks += _around(data, carried, document, payload)  # 8
+    if carried.timestamp is not None:  # 9
         checks.append(_stamp(carried.timestamp, carried.jws, tsa_certificates))
     return Findings(tuple(checks), document, kid)
 
@@ -217,6 +222,26 @@ def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> 
         return Check("timestamp", Status.FAIL, str(fault))
     text = f"A stamp of {at} is there; who gave it was not checked, for want of a certificate to trust."
     return Check("timestamp", Status.NOT_CHECKED, text)
+
+
+def _drawing(document: Mapping[str, Any], certificates: Sequence[x509.Certificate]) -> Check:
+    """Whether the stamp is about this original, and what it draws is what was registered."""
+    drawing, original, found = document["drawing"], document["original"], document["audit"]["registration"]
+    try:
+        if original is None or found is None:
+            raise TimestampFault("a time stamp drew for a record that the claim does not name")
+        draw = Draw(base64.b64decode(drawing["token"], validate=True), original["sha256"], drawing["terms"])
+        stamped_at(draw.token, draw.stamped)
+        drawn = drawn_from(draw.token)
+        if found["entry"]["payload"].get("drawn_sha256") != hashlib.sha256(drawn.encode()).hexdigest():
+            raise TimestampFault("the time stamp draws something else than was registered")
+        if certificates:
+            word = draw.check(drawn, certificates)
+            return Check("drawing", Status.PASS, f"Drawn on {word.at} by {word.by}, who was vouched for.")
+    except (TimestampFault, ValueError) as fault:
+        return Check("drawing", Status.FAIL, str(fault))
+    text = "The rate rests on a time stamp; who gave it was not checked, for want of a certificate to trust."
+    return Check("drawing", Status.NOT_CHECKED, text)
 
 
 def _canonical_or_none(value: Any) -> bytes | None:

@@ -1,11 +1,25 @@
 """The claim document: its exact form. Version 1 had no derivation, no basis of its rate, no proof of the original's
-registration; version 2 did not say who issued it for whom, and what was searched. Both are still read."""
+registration; version 2 did not say who issued it for whom, and what was searched; version 3 wrote conditions as
+sentences, and rested 1 in 10^9 on dates and on what the service drew by itself. All are still read."""
+
+from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, StringConstraints, UrlConstraints
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    HttpUrl,
+    StringConstraints,
+    UrlConstraints,
+    model_validator,
+)
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
+DRAWN_BY_STAMP = 4
+"""From this version on a rate above 2^-128 rests on a time stamp in the document that drew for the record."""
 
 Hex64 = Field(pattern=r"^[0-9a-f]{64}$")
 Share = Field(ge=0.0, le=1.0)
@@ -138,7 +152,32 @@ class AttestedTime(_Part):
 
     at: str
     by: str
-    drawn: bool = Field(description="The attester drew a part of what the mark's chips follow from.")
+    drawn: bool = Field(
+        description="A time-stamping service drew a part of what the mark's chips follow from; before version 4, the"
+        " attester."
+    )
+
+
+class Drawing(_Part):
+    """The time stamp (RFC 3161) from whose signature a part of what the mark's chips follow from was drawn."""
+
+    token: str = Field(pattern=r"^[A-Za-z0-9+/]+={0,2}$", max_length=1 << 17, description="The reply (DER), base64.")
+    terms: str = Field(
+        pattern=r"^[0-9a-f]{64}$",
+        description="Keyed digest of owner key, reference and plan. Stamped are 'mark3dgs draw', a zero byte, the"
+        " original's SHA-256 and these 32 bytes.",
+    )
+
+
+class Condition(_Part):
+    """Under which a bound between the two rates would be a claim."""
+
+    kind: Literal["registered_before", "suspect_since"]
+    date: str | None = Field(description="Since when the suspect is known, ISO 8601; null of the other kind.")
+    by: Literal["owner", "attestation"] = Field(
+        description="Who vouches for it: the owner, by a statement, or a third party, which is yet to be given."
+    )
+    text: str = Field(description="The same in words.")
 
 
 class Check(_Part):
@@ -207,7 +246,7 @@ Document = dict[str, Any]
 class ClaimDocument(_Part):
     """The answer of one verification, as it is signed."""
 
-    schema_version: Literal[1, 2, 3]
+    schema_version: Literal[1, 2, 3, 4]
     claim_id: str
     created_at: str
     tool: Tool
@@ -221,6 +260,7 @@ class ClaimDocument(_Part):
     copy_name: str | None = Field(alias="copy", description="Recipient of the copy whose record it is.")
     registered_at: str | None = Field(description="When that copy entered the audit log, UTC: attested.")
     attested: AttestedTime | None = Field(None, description="The same, as it counted for the rate.")
+    drawing: Drawing | None = Field(None, description="By which a time-stamping service drew for the record.")
     verdict: Literal["marked", "not_marked", "inconclusive"]
     confidence: float = Field(ge=0.0, le=1.0, description="1 - min(1, false-claim bound), all tries counted.")
     log10_false_claim: float = Field(le=0.0, description="log10 of the false-claim bound, all tries counted.")
@@ -228,8 +268,8 @@ class ClaimDocument(_Part):
     would_be_claim_if_attested: bool = Field(
         False, description="The bound would do if the registration were attested and older than the suspect."
     )
-    conditions: list[str] = Field(
-        [], description="Under which it would then be a claim; the owner's word decides none."
+    conditions: list[Condition | str] = Field(
+        [], description="Under which it would then be a claim; before version 4, sentences."
     )
     tries: int = Field(ge=0, description="Hypotheses tried: records times routes.")
     threshold: Threshold | None
@@ -253,6 +293,15 @@ class ClaimDocument(_Part):
     pictures: dict[str, str] = Field(description="Name and SHA-256 of each picture of the report.")
     meaning: Meaning
     audit: Audit | None = Field(default=None, description="Always there in a signed document.")
+
+    @model_validator(mode="after")
+    def _of_its_version(self) -> ClaimDocument:
+        new = self.schema_version >= DRAWN_BY_STAMP
+        if any(isinstance(each, str) == new for each in self.conditions):
+            raise ValueError(f"conditions have another form in version {self.schema_version}")
+        if self.drawing is not None and not new:
+            raise ValueError(f"version {self.schema_version} knows of no drawing")
+        return self
 
 
 def _without_password(url: HttpUrl) -> HttpUrl:

@@ -11,16 +11,16 @@ from service.claims.schema import OwnerStatement
 from service.db import own, schema
 from service.http.access import Core, Follower, Verifier, visible
 from service.http.error_responses import OF_OWN, responses
-from service.http.forms import WHOLE
+from service.http.forms import WHOLE, Asked
 from service.http.results import Time
 
 router = APIRouter(tags=["shares"])
 
 
-class NewShare(BaseModel):
+class NewShare(Asked):
     """For how long."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [{"days": 14}]})
+    model_config = ConfigDict(strict=True, json_schema_extra={"examples": [{"days": 14}]})
     days: Annotated[int, Field(ge=1, le=90), WHOLE] = Field(14, description="Until the address says nothing any more.")
 
 

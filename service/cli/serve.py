@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -16,12 +17,14 @@ import typer
 from engine.cli.console import Console
 from engine.cli.options import Json
 from engine.errors import InputError
+from service.cli import log
 
 if TYPE_CHECKING:
     from service.core import Service
     from service.settings import Settings
 
 RESTART_SECONDS = 1.0
+SPARE_FILES = 256
 
 
 def serve(
@@ -34,7 +37,8 @@ def serve(
 ) -> int:
     """Run the ownership service: API, page and workers, in one data folder.
 
-    Needs no other server. The first start makes the master key, the signing
+    A second one in this folder is refused, unless it starts no workers
+    ('--workers 0'). Needs no other server. The first start makes the master key, the signing
     key and one admin API key, which it prints once. Settings are environment
     variables: MARK3DGS_DATA_DIR (default ./mark3dgs-data), MARK3DGS_DATABASE_URL
     and MARK3DGS_BLOB_URL for several machines, and more (see docs/SERVICE.md).
@@ -49,16 +53,22 @@ def serve(
     from engine.credentials.native import require
     from service.app import make_app
     from service.assets.content_credentials import signer_of
+    from service.folder_locks import crew_names, hold
+    from service.trust.draws import vouching
 
     console = Console(machine=False)
+    log.set_up()
+    settings = settings_of()
+    count = settings.workers if workers is None else workers
+    lock = hold(settings.data_dir, "serve") if count else None  # before a database is opened, which changes it
     _check_free(host, port)
     settings, service = start(console, may_make=True)
     if (signer := signer_of(settings)) is not None:  # what is wrong with it is said now, not at the first download
         require()
         until = f"{signer.certificate.not_valid_after_utc:%Y-%m-%d}"
         console.note(f"Content Credentials are signed by {signer.certificate.subject.rfc4514_string()}, until {until}.")
-    count = settings.workers if workers is None else workers
-    crew = Crew([f"local-{number}" for number in range(1, count + 1)])
+    vouching(settings)
+    crew = Crew(crew_names(settings.data_dir, count) if count else [])
     console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")
     try:
         crew.start()
@@ -67,13 +77,17 @@ def serve(
             host=host,
             port=port,
             log_level="warning",
+            log_config=None,
             access_log=False,
+            limit_concurrency=_connections(settings.connections),
             server_header=False,
             http="h11",
             timeout_graceful_shutdown=5,
         )
     finally:
         crew.stop()
+        if lock is not None:
+            lock.close()
     return 0
 
 
@@ -92,6 +106,7 @@ def worker(
     """
     from service.worker import run_worker
 
+    log.set_up()
     _, service = start(Console(machine=False))
     run_worker(service, name, die_with_parent)
 
@@ -177,6 +192,15 @@ def _check_free(host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise InputError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+
+
+def _connections(most: int) -> int:
+    """How many connections are taken: as many as wanted, or half of the files that this process may open."""
+    files, limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files != resource.RLIM_INFINITY and files < 2 * most + SPARE_FILES:
+        files = 2 * most + SPARE_FILES if limit == resource.RLIM_INFINITY else min(limit, 2 * most + SPARE_FILES)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (files, limit))
+    return most if files == resource.RLIM_INFINITY else min(most, files // 2)
 
 
 class Crew:

@@ -167,6 +167,16 @@ class Asset:
 
 
 @dataclass(frozen=True)
+class Condition:
+    """Under which an inconclusive answer would be a claim."""
+
+    kind: str  # registered_before or suspect_since; empty in claims before version 4, which have the text alone
+    date: str | None  # since when the suspect is known
+    by: str  # who vouches for it: owner, or attestation, which is yet to be given
+    text: str
+
+
+@dataclass(frozen=True)
 class Claim:
     """A signed claim; docs/CLAIM.md has its document."""
 
@@ -174,6 +184,12 @@ class Claim:
     jws: str
     timestamp: str | None
     summary: Mapping[str, Any]
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """Those of the document."""
+        known = self.document.get("conditions", [])
+        return [Condition("", None, "", each) if isinstance(each, str) else Condition(**each) for each in known]
 
 
 @dataclass(frozen=True)

@@ -96,9 +96,9 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
             raise ServiceError("changed", f"{announced.name!r} became shorter while it was sent")
         headers = {"Upload-Offset": str(slot.offset), "Content-Type": "application/octet-stream"}
         reply: Reply = yield Request("PUT", path, headers=headers, content=data)
-        if not reply.good and reply.status not in (0, 409):
+        if not reply.good and reply.status not in (0, 408, 409):
             raise reply.error()
-        # No answer: some of it may have come, or all. 409: another process sends the same file.
+        # No answer: some of it may have come, or all. 408: too slow a line. 409: another process sends the same file.
         before, slot = slot, read(Upload, reply.json() if reply.good else (yield from _look(path)))
         breaks = breaks + 1 if slot.offset == before.offset else 0
         if breaks > BREAKS:

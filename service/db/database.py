@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from alembic.config import Config
 
 Ts = TypeVarTuple("Ts")
+_log = logging.getLogger(__name__)
 _LOCK = 0x6D61726B  # "mark"
 BUSY_MILLISECONDS = 15_000
 POSTGRES_CONNECT = {
@@ -110,7 +112,7 @@ class Database:
         from alembic.util.exc import CommandError
 
         config = _migrations()
-        with self.engine.begin() as connection:
+        with self.write() as connection:
             alone(connection)
             config.attributes["connection"] = connection
             if sa.inspect(connection).has_table("alembic_version"):
@@ -193,13 +195,18 @@ def _migrations() -> Config:
 
 @contextmanager
 def _as_problems() -> Iterator[None]:
-    """A database that does not answer is a 503, a full disk a 507; a broken statement stays a bug of ours."""
+    """A database that does not answer, or is damaged, is a 503, a full disk a 507; a broken statement stays a bug of
+    ours."""
     try:
         yield
     except DBAPIError as error:
         text = str(error.orig).lower()
         if "disk is full" in text or "no space" in text:
             raise Problem("storage-full", "the database's disk is full") from error
+        if "malformed" in text or "not a database" in text:  # SQLite's words
+            _log.error("the database is damaged: %s", error.orig)
+            detail = "the database is damaged: its operator restores a backup (docs/OPERATIONS.md)"
+            raise Problem("unavailable", detail, headers={"Retry-After": "300"}) from error
         if isinstance(error, (sa.exc.OperationalError, sa.exc.InterfaceError)):
             raise Problem("unavailable", "the database does not answer", headers={"Retry-After": "5"}) from error
         raise

@@ -49,10 +49,11 @@ uploads = Table(
     metadata,
     *_key("id"),
     *_texts("tenant", "created_at", index=True),
-    *_texts("name", "parts", "state"),  # parts: JSON list of [offset, length]; state: open, complete
+    *_texts("name", "parts", "state"),  # parts: JSON list of [name, length, sha256]; state: open, complete
     _number("size", None),  # announced, NULL if not
     _number("received"),
     *_texts("sha256", "info", null=True),  # announced, then measured; JSON: what the file is, once it was inspected
+    Column("api_key", Text, nullable=False, server_default=""),  # whose it is; "": made before that was kept
 )
 
 jobs = Table(
@@ -73,7 +74,7 @@ jobs = Table(
 idempotency = Table(
     "idempotency",
     metadata,
-    *_key("tenant", "key"),
+    *_key("tenant", "key"),  # key: id of the API key, and what its client drew
     *_texts("body_hash"),
     *_texts("job", null=True),  # NULL while the first request is in flight
     *_texts("created_at", index=True),
@@ -123,6 +124,15 @@ notices = Table(
     *_key("id"),
     *_texts("tenant", index=True),
     *_texts("asset", "upload", "finding", "created_at"),  # upload: what it became; finding: JSON, of `marks`
+)
+
+# Time stamps from which a part of a record's plan follows: the same for all copies of an asset, so kept for good.
+draws = Table(
+    "draws",
+    metadata,
+    *_key("request"),  # SHA-256 of what was stamped, hex
+    Column("token", LargeBinary, nullable=False),
+    *_texts("created_at"),
 )
 
 # Addresses under which a claim is seen without an API key; the address itself is nowhere kept.

@@ -19,6 +19,7 @@ from service.db.schema import assets, jobs
 from service.http.access import Core, Disputer, Party
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
+from service.http.forms import Asked
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job, State
 from service.problems import Problem
@@ -32,10 +33,10 @@ AssetId = Annotated[str, Field(min_length=1, max_length=64)]
 _EXAMPLE: JsonValue = {"asset_a": "as_d40313a36c48f4baf73fb30a", "asset_b": "as_77f1ce0c1f4b2d2a5a3f9c10"}
 
 
-class DisputeRequest(BaseModel):
+class DisputeRequest(Asked):
     """The two registered assets of a dispute."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
+    model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
     asset_a: AssetId
     asset_b: AssetId
 

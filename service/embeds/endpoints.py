@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import ConfigDict, Field, JsonValue, model_validator
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
 from service.http.budgets import spend
-from service.http.forms import WHOLE, Files, form_schema, read_form
+from service.http.forms import WHOLE, Asked, Files, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -30,12 +30,11 @@ _GIVEN: dict[str, JsonValue] = {"message": {"type": "string"}, "bits": {"type": 
 _EXAMPLE: JsonValue = {"upload_id": "up_d40313a36c48f4baf73fb30a", "copy_name": "acme", "profile": "fast"}
 
 
-class EmbedRequest(BaseModel):
+class EmbedRequest(Asked):
     """What to mark, under which key, and how."""
 
     model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}, "examples": [_EXAMPLE]},
+        json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}, "examples": [_EXAMPLE]}
     )
     upload_id: str = Field(min_length=1, max_length=64, description="A complete upload: the model.")
     key_id: str | None = Field(
@@ -54,7 +53,9 @@ class EmbedRequest(BaseModel):
         "balanced",
         description="Speed against accuracy; auto: no more than the scene needs; the others: the paper's system.",
     )
-    psnr: float | None = Field(None, ge=20, le=90, description="Least PSNR of the mark, dB (47).")
+    psnr: float | None = Field(
+        None, ge=20, le=90, description="Least PSNR of the mark, dB (47); above the profile's: scope `originals`."
+    )
     budget: float | None = Field(None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all.")
     output: Literal["fidelity", "compact"] | None = Field(
         None, description="Keep each Gaussian's residual, or drop it; as the profile has it if left out."
@@ -100,12 +101,13 @@ class EmbedForm(EmbedRequest):
 
 
 def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_key: str | None) -> Job:
+    _check_fidelity(caller, body)
     tenant, digests, names = caller.tenant, {}, {}
     for name, upload_id in (("model", body.upload_id), ("cameras", body.cameras_upload_id)):
         named, brought = [upload_id] if upload_id else [], files.get(name, [])
         if len(named) + len(brought) > 1:
             raise Problem("invalid-request", f"give one {name}, as a file or as an upload")
-        rows = gather(core, tenant, named, brought, name)
+        rows = gather(core, caller, named, brought, name)
         digests[name] = rows[0].sha256 if rows else None
         names[name] = [row.name for row in rows]
     if digests["model"] is None:
@@ -115,11 +117,24 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
     def make() -> Mapping[str, object]:
         key_id = body.key_id or _usual_key(core, tenant)
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
-        check_quota(core, tenant, 0)
+        with core.db.read() as connection:
+            check_quota(connection, core.settings, tenant, 0)
         spend(core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key")
         return {**unnamed, **digests, "key_id": key_id, "names": names["model"]}
 
     return submit(core, caller, "embed", retry_key, {"embed": unnamed, **digests}, make)
+
+
+def _check_fidelity(caller: Caller, body: EmbedForm) -> None:
+    """forbidden where the mark were so faint that the marked model is as good as the unmarked one."""
+    if body.psnr is None or caller.may("originals"):
+        return
+    from engine.flows.embed.profiles import AUTO, PROFILES, Auto
+
+    usual = (Auto().start if body.profile == AUTO else PROFILES[body.profile]).psnr_db
+    if body.psnr > usual:
+        text = f"psnr {body.psnr:g}: more than the {usual:g} dB of profile {body.profile!r} needs the scope 'originals'"
+        raise Problem("forbidden", text)
 
 
 def _usual_key(core: Service, tenant: str) -> str:

@@ -6,6 +6,7 @@ owner is looked at afterwards, by a job of the service's own (`watch`), and told
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, TypedDict
 
 import sqlalchemy as sa
@@ -19,6 +20,7 @@ from service.http.budgets import spend
 from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
 from service.trust.commitments import commit_asset
+from service.trust.draws import draws_for, stamp_to_draw
 from service.trust.owner_keys import open_key
 
 HELD = (
@@ -48,7 +50,7 @@ def _embed(service: Service, run: Run) -> Reply:
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
     model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
     screening = _screen(service, run, model)
-    drawn = _drawn(service, asked)
+    draws = draws_for(service.settings)
     return service.do_task(
         run,
         "embed",
@@ -59,11 +61,12 @@ def _embed(service: Service, run: Run) -> Reply:
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
-            "drawn": drawn,
+            "draws": draws,
             "earlier": _earlier(service, run),
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
-    ) | {"drawn": drawn, "screening": screening}
+        partial(stamp_to_draw, service.db, service.settings) if draws else None,
+    ) | {"screening": screening}
 
 
 def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
@@ -79,14 +82,9 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
     return {"carries": carried(service, run, chosen), "not_screened": len(alike) - len(chosen)}
 
 
-def _drawn(service: Service, asked: Mapping[str, Any]) -> str:
-    """The service's random part of the plan, the same for all copies of one model under one key, which share a layer:
-    unknown before a first job, so records cannot be tried out."""
-    return service.master.mac("drawn for a record", f"{asked['key_id']} {asked['model']}")
-
-
 def _earlier(service: Service, run: Run) -> str:
-    """Where the record of the newest copy of this model under this key lies, "" if there is none: it saves time."""
+    """Where the record of the newest copy of this model under this key lies, "" if there is none: what was drawn for it
+    holds for all copies, which share a layer; and it saves time."""
     asked = run.job.request
     mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == asked["key_id"])
     query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == asked["model"]))
@@ -101,8 +99,7 @@ def _commit(service: Service, run: Run) -> Ending:
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row, made.get("drawn") or _drawn(service, job.request), row["registered_at"])
-    watch(service, job, row["id"])
+    draws = draws_for(service.settings)
     report = made["report"]
     result = {
         "asset_id": row["id"],

@@ -25,10 +25,21 @@ def service_of(request: Request) -> Service:
 Core = Annotated[Service, Depends(service_of)]
 
 
-def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> Caller:
-    if credentials is None:
+async def check_address(request: Request) -> None:
+    """invalid-request for a path or query with a NUL: no text of a database holds one, so nothing has such a name."""
+    if "\0" in request.scope["path"] or "%00" in request.scope["query_string"].decode("latin-1"):
+        raise Problem("invalid-request", "an address must not hold NUL characters (%00)")
+
+
+def identify(service: Service, token: str | None) -> Caller:
+    """Whose API key came with a request; unauthorized without a valid one."""
+    if token is None:
         raise Problem("unauthorized", "send the header 'Authorization: Bearer mk_...'")
-    return check(core.db, core.master, credentials.credentials)
+    return check(service.db, service.master, token)
+
+
+def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> Caller:
+    return identify(core, credentials and credentials.credentials)
 
 
 def may(*scopes: str) -> Callable[..., Caller]:
@@ -68,7 +79,7 @@ def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
 
 Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
 NO_ZERO = r"^[^\x00]*$"
-"""No text of a database holds one."""
+"""`check_address`, as the API's description says it of a parameter."""
 Words = Annotated[str, Query(max_length=200, pattern=NO_ZERO)]
 """What is looked for in a list."""
 After = Annotated[str, Query(max_length=64, description="`next` of the page before.")]

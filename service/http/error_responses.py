@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.routing import Match, Route
 
 from service.problems import KINDS, MEDIA_TYPE, Problem
@@ -47,6 +48,10 @@ def install(app: FastAPI) -> None:
     def on_invalid(request: Request, error: RequestValidationError) -> Response:
         return answer(invalid(list(error.errors())), request)
 
+    @app.exception_handler(ClientDisconnect)
+    def on_leaving(request: Request, error: ClientDisconnect) -> Response:
+        return answer(Problem("malformed-request", "the body broke off"), request)  # to a client that is gone
+
     @app.exception_handler(OSError)
     @app.exception_handler(Exception)
     def on_bug(request: Request, error: Exception) -> Response:
@@ -83,7 +88,8 @@ Responses = dict[int | str, dict[str, Any]]
 def responses(*kinds: str) -> Responses:
     """OpenAPI of the problems that a route may answer with; those that any route can are added."""
     found: dict[int, list[str]] = {}
-    for kind in (*kinds, "internal", "unavailable", "storage-full"):
+    slow = ("too-slow",) if "malformed-request" in kinds else ()  # it has a body
+    for kind in (*kinds, *slow, "invalid-request", "internal", "unavailable", "storage-full"):
         found.setdefault(KINDS[kind][0], []).append(KINDS[kind][1])
     schema = {"$ref": "#/components/schemas/Problem"}
     return {

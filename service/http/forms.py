@@ -5,14 +5,37 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from fastapi import Request
-from pydantic import BaseModel, BeforeValidator, JsonValue, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, ValidationError, model_validator
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException
 
 from service.http.error_responses import invalid
 from service.problems import Problem
 
-T = TypeVar("T", bound=BaseModel)
+
+def check_text(text: str) -> str:
+    """A text that every database holds; ValueError where it has a NUL, or half of a surrogate pair."""
+    if "\0" in text or (not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text)):
+        raise ValueError("a text must not hold NUL characters, nor halves of surrogate pairs")
+    return text
+
+
+class Asked(BaseModel):
+    """Body of a request: no fields but its own, and texts that every database holds."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _texts(cls, values: Any) -> Any:
+        for value in values.values() if isinstance(values, dict) else ():
+            for text in value if isinstance(value, list) else [value]:
+                if isinstance(text, str):
+                    check_text(text)
+        return values
+
+
+T = TypeVar("T", bound=Asked)
 Files = dict[str, list[UploadFile]]
 MAX_FILES, MAX_FIELDS = 66, 32
 

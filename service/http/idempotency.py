@@ -11,6 +11,7 @@ from service.clock import ago, now
 from service.db import Database
 from service.db.schema import idempotency
 from service.problems import Problem
+from service.trust.api_keys import Caller
 
 IN_FLIGHT_HOURS = 1 / 60
 """A first request not finished by then died; the next with its key takes its place."""
@@ -18,18 +19,18 @@ IN_FLIGHT_HOURS = 1 / 60
 KEPT_HOURS = 24.0
 
 
-def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str | None:
+def begin(db: Database, caller: Caller, key: str, body: Mapping[str, Any]) -> str | None:
     """Job of the first request with this key, or None for the first itself.
 
     idempotency-mismatch for another body, request-in-flight while the first is still being answered.
     """
     digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
-    mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)
+    mine, values = _mine(caller, key), {"tenant": caller.tenant, "key": _kept(caller, key)}
     with db.write() as connection:
         connection.execute(sa.delete(idempotency).where(idempotency.c.created_at < ago(KEPT_HOURS)))
         row = connection.execute(sa.select(idempotency).where(mine)).first()
         if row is None:
-            connection.execute(idempotency.insert().values(tenant=tenant, key=key, body_hash=digest, created_at=now()))
+            connection.execute(idempotency.insert().values(values | {"body_hash": digest, "created_at": now()}))
             return None
         if row.body_hash != digest:
             raise Problem("idempotency-mismatch", f"Idempotency-Key {key!r} came with another body before")
@@ -42,13 +43,20 @@ def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str |
         return None
 
 
-def settle(db: Database, tenant: str, key: str, job: str) -> None:
+def settle(db: Database, caller: Caller, key: str, job: str) -> None:
     """The first request has its job."""
-    mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)
-    db.change(sa.update(idempotency).where(mine).values(job=job))
+    db.change(sa.update(idempotency).where(_mine(caller, key)).values(job=job))
 
 
-def release(db: Database, tenant: str, key: str) -> None:
+def release(db: Database, caller: Caller, key: str) -> None:
     """The first request failed before it had a job: the key is free again."""
-    mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key) & idempotency.c.job.is_(None)
-    db.change(sa.delete(idempotency).where(mine))
+    db.change(sa.delete(idempotency).where(_mine(caller, key) & idempotency.c.job.is_(None)))
+
+
+def _kept(caller: Caller, key: str) -> str:
+    """Clients of two API keys may draw the same one, and must not be handed each other's jobs."""
+    return f"{caller.key_id} {key}"
+
+
+def _mine(caller: Caller, key: str) -> sa.ColumnElement[bool]:
+    return (idempotency.c.tenant == caller.tenant) & (idempotency.c.key == _kept(caller, key))

@@ -14,6 +14,7 @@ from service.core import Service
 from service.http import idempotency
 from service.http.error_responses import Responses, responses
 from service.http.results import Failure, Result, Time, TimeOrNot
+from service.jobs.durable_jobs import too_many
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem, from_json
 from service.trust.api_keys import Caller
@@ -95,16 +96,15 @@ def submit(
 
     def take_on() -> Job:
         most = service.settings.queued_jobs
-        if service.jobs.waiting(caller.tenant) >= most:
-            text = f"{most} jobs of this tenant are waiting or running: send more when some have ended"
-            raise Problem("budget-exceeded", text, headers={"Retry-After": "30"})
+        if service.jobs.waiting(caller.tenant) >= most:  # before budgets are spent; what counts is asked by `submit`
+            raise too_many(most)
         asked = make()
         job_id = f"job_{secrets.token_hex(12)}"
-        return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, asked))
+        return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, asked), most)
 
     if key is None:
         return take_on()
-    first = idempotency.begin(service.db, caller.tenant, key, body)
+    first = idempotency.begin(service.db, caller, key, body)
     if first is not None:
         job = service.jobs.get(caller.tenant, first)
         if job is None:
@@ -113,9 +113,9 @@ def submit(
     try:
         job = take_on()
     except BaseException:
-        idempotency.release(service.db, caller.tenant, key)
+        idempotency.release(service.db, caller, key)
         raise
-    idempotency.settle(service.db, caller.tenant, key, job.id)
+    idempotency.settle(service.db, caller, key, job.id)
     return job
 
 

@@ -66,12 +66,18 @@ class DurableJobs:
         self._lock = threading.Lock()
         self._opened: DBOSClient | None = None
 
-    def submit(self, job: Job) -> Job:
-        """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job."""
+    def submit(self, job: Job, most: int | None = None) -> Job:
+        """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job.
+
+        `too_many` where as many as `most` jobs of its tenant are not final.
+        """
         values = {name: getattr(job, name) for name in ("id", "tenant", "api_key", "kind")}
         values |= {"state": State.QUEUED.value, "stage": "", "created_at": job.created_at or now()}
-        with suppress(IntegrityError):  # the id is taken: the same job sent again
-            self._db.change(jobs.insert().values(**values, request=json.dumps(job.request, sort_keys=True)))
+        values |= {"request": json.dumps(job.request, sort_keys=True)}
+        with suppress(IntegrityError), self._db.exclusive() as connection:  # the id is taken: the same job sent again
+            if most is not None and connection.execute(_waiting(job.tenant)).scalar_one() >= most:
+                raise too_many(most)
+            connection.execute(jobs.insert().values(values))
         known = self.get(job.tenant, job.id)
         if known is None:
             raise Problem("conflict", f"the job id {job.id!r} is taken")
@@ -149,8 +155,7 @@ class DurableJobs:
 
     def waiting(self, tenant: str) -> int:
         """How many jobs of a tenant are not final."""
-        mine = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _OPEN)
-        return int(self._db.query(mine).scalar_one())
+        return int(self._db.query(_waiting(tenant)).scalar_one())
 
     def begin(self, job_id: str, worker: str) -> Job | None:
         """A worker starts on a job, for the first time or again; None where there is nothing left to do. The next job
@@ -305,6 +310,12 @@ class DurableJobs:
         self.client().enqueue(options, job_id)
 
 
+def too_many(most: int) -> Problem:
+    """What is said where a tenant has that many jobs."""
+    text = f"{most} jobs of this tenant are waiting or running: send more when some have ended"
+    return Problem("budget-exceeded", text, headers={"Retry-After": "30"})
+
+
 def configuration(url: str, executor: str) -> DBOSConfig:
     """DBOS in a worker: silent, on our database, no services of its maker, values as JSON."""
     _hush()
@@ -345,6 +356,10 @@ def _announce(connection: sa.Connection, job_id: str) -> None:
     told = told.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
     told = told.where(webhooks.c.events.contains(ENDED))
     connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], told))
+
+
+def _waiting(tenant: str) -> sa.Select[int]:
+    return sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _OPEN)
 
 
 def _mine(tenant: str, job_id: str) -> sa.ColumnElement[bool]:

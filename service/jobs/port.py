@@ -50,15 +50,15 @@ class Job:
 class Run:
     """What a step of a flow is handed.
 
-    `work(task, request) -> reply` runs a task of `service.work` in a process of its own, with limits: progress goes to
-    the job, a cancelled job raises `Cancelled`, an error of the engine the `Problem` it means. Files that it makes lie
-    in `folder`.
+    `work(task, request, answer) -> reply` runs a task of `service.work` in a process of its own, with limits: progress
+    goes to the job, `answer` (None: nothing is asked) answers it, a cancelled job raises `Cancelled`, an error of the
+    engine the `Problem` it means. Files that it makes lie in `folder`.
     """
 
     job: Job
     results: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the steps before, by name
     folder: Path = Path()  # scratch of this step, empty, removed after it
-    work: Callable[[str, Mapping[str, Any]], Reply] = lambda task, request: {}
+    work: Callable[..., Reply] = lambda task, request, answer=None: {}
 
 
 @dataclass(frozen=True)

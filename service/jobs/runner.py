@@ -13,10 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypedDict, TypeVar
 
+from service.folder_locks import hold
 from service.jobs.durable_jobs import QUEUE, WORKFLOW, DurableJobs, configuration
 from service.jobs.port import Flow, Job, Run, State, Step
 from service.problems import Problem
-from service.processes import COMMAND, Cancelled, Children, Limits, Reply, Stopped
+from service.processes import COMMAND, Answer, Cancelled, Children, Limits, Reply, Stopped
 from service.settings import Settings
 
 BEAT_SECONDS = 2.0
@@ -33,6 +34,9 @@ DBOS counts how often a workflow was recovered: over all its steps, and anew aft
 
 MAX_KILLED = 3
 """Runs of a task whose process is killed from outside. A task that is too large is killed each time."""
+
+PREDECESSOR_SECONDS = 15.0
+"""A worker whose parent died is still ending when the next one of its name starts."""
 
 _UNAVAILABLE = frozenset({"unavailable"})
 _OUT_OF_REACH = _UNAVAILABLE | {"storage-full"}
@@ -128,15 +132,15 @@ class Runner:
                     raise
                 return True  # its progress is not shown and it cannot be stopped, but the work goes on
 
-        def work(task: str, request: Mapping[str, Any]) -> Reply:
+        def work(task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:
             for _ in range(MAX_KILLED - 1):
                 try:
-                    return self._children.run(task, request, folder, go_on)
+                    return self._children.run(task, request, folder, go_on, answer)
                 except Problem as problem:
                     if problem.extra.get("signal") != "SIGKILL":
                         raise
                     _log.warning("job %s: the process of task %s was killed; once more", job.id, task)
-            return self._children.run(task, request, folder, go_on)
+            return self._children.run(task, request, folder, go_on, answer)
 
         folder.mkdir(parents=True)
         try:
@@ -176,8 +180,8 @@ def _internal() -> Mapping[str, Any]:
 class Worker:
     """One worker process; with `die_with_parent` it ends when standard input does. `command` starts a task's process.
 
-    A worker that comes back under its `name` (letters, digits, dots and dashes) takes up its jobs at once; at most one
-    process may use a name. Without one, a fresh name is made.
+    A worker that comes back under its `name` (letters, digits, dots and dashes) takes up its jobs at once; InputError
+    where another process of this data folder has the name. Without one, a fresh name is made.
     """
 
     def __init__(
@@ -193,6 +197,7 @@ class Worker:
         self.name = name or _fresh_name()
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9.-]{0,99}", self.name):
             raise ValueError(f"no name of a worker: {self.name!r}")
+        self._lock = hold(settings.data_dir, f"worker-{name}", PREDECESSOR_SECONDS) if name else None
         self._settings, self._jobs, self._die_with_parent = settings, jobs, die_with_parent
         self._stopping = threading.Event()
         self._idle: set[str] = set()

@@ -13,6 +13,7 @@ from service.db import page, schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Reader
 from service.http.error_responses import OF_LIST, responses
+from service.http.forms import Asked
 from service.http.results import Time
 from service.problems import Problem
 from service.trust import owner_keys
@@ -25,10 +26,10 @@ _ONE_BYTE: JsonValue = {"type": "string", "pattern": r"^(..)\1+$"}
 _EXAMPLE: JsonValue = {"label": "Studio", "reveal": True}
 
 
-class NewKey(BaseModel):
+class NewKey(Asked):
     """An owner key to make, or to import."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [_EXAMPLE]})
+    model_config = ConfigDict(strict=True, json_schema_extra={"examples": [_EXAMPLE]})
     label: str = Field("", max_length=200, description="For people.")
     key: str | None = Field(
         None,

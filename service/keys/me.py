@@ -53,11 +53,12 @@ def me(core: Core, caller: Anyone) -> Me:
     with core.db.read() as connection:
         name = display_name(connection, tenant)
         label = connection.execute(sa.select(api_keys.c.label).where(api_keys.c.id == caller.key_id)).scalar_one()
+        opened, stored = under_way(connection, tenant), stored_bytes(connection, tenant)
     scopes = [scope for scope in SCOPES if scope in caller.scopes]
     limits = Limits(
         queued_jobs=Used(used=core.jobs.waiting(tenant), most=settings.queued_jobs),
-        open_uploads=Used(used=under_way(core, tenant), most=settings.open_uploads),
-        stored_bytes=Used(used=stored_bytes(core.db, tenant), most=settings.tenant_bytes),
+        open_uploads=Used(used=opened, most=settings.open_uploads),
+        stored_bytes=Used(used=stored, most=settings.tenant_bytes),
     )
     key = Self(id=caller.key_id, label=label, scopes=scopes, prefix=f"mk_{caller.key_id}")
     return Me(tenant=tenant, name=name, key=key, limits=limits)

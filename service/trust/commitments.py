@@ -27,7 +27,7 @@ def asset_digest(row: Mapping[str, Any]) -> str:
 def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str = "", at: str = "") -> Entry:
     """Log the registration of an asset, in the transaction that inserts its row (every column of it).
 
-    `drawn` is what the service drew for the record's plan; the log keeps its digest. `at` is the time that the caller
+    `drawn` is what was drawn for the record's plan; the log keeps its digest. `at` is the time that the caller
     wrote into the row, now and under the log's lock: an asset has one.
     """
     payload = {name: row[name] for name in ("original_sha256", "record_id", "record_sha256")}

@@ -10,7 +10,7 @@ from service.db import page
 from service.db.schema import uploads
 from service.http.access import After, Core, Limit, Uploader
 from service.http.error_responses import OF_LIST, OF_OWN, responses
-from service.http.forms import FROM_JSON, WHOLE
+from service.http.forms import FROM_JSON, WHOLE, Asked
 from service.http.results import FileInfo, Time
 from service.problems import Problem
 from service.uploads import store
@@ -24,10 +24,10 @@ OCTETS = {"requestBody": {"required": True, "content": {"application/octet-strea
 _EXAMPLE: JsonValue = {"name": "plant.ply", "size": 28185736}
 
 
-class NewUpload(BaseModel):
+class NewUpload(Asked):
     """A slot for one file."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [_EXAMPLE]})
+    model_config = ConfigDict(strict=True, json_schema_extra={"examples": [_EXAMPLE]})
     name: str = Field("", max_length=200, description="For people; it never becomes a path.")
     size: Annotated[int, Field(ge=1, le=1 << 50), WHOLE] | None = Field(
         None, description="Bytes to come; needed to resume."
@@ -64,23 +64,23 @@ class UploadList(BaseModel):
 )
 def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Response) -> Upload:
     """Open a slot; send the bytes with PUT."""
-    row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
+    row = store.create(core, caller, body.name, body.size, body.sha256)
     response.headers["Location"] = f"/v1/uploads/{row.id}"
     return Upload.model_validate(row)
 
 
 @router.get("", operation_id="listUploads", responses=OF_LIST)
 def list_uploads(core: Core, caller: Uploader, limit: Limit = 20, after: After = "") -> UploadList:
-    """Uploads of this tenant that are still here, newest first."""
+    """Uploads of this API key (for `admin`: of the tenant) that are still here, newest first."""
     with core.db.read() as connection:
-        rows, following = page(connection, uploads, caller.tenant, limit, after)
+        rows, following = page(connection, uploads, caller.tenant, limit, after, where=store.of(caller))
     return UploadList(items=[Upload.model_validate(row) for row in rows], next=following)
 
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)
 def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
     """How far an upload is: `offset` says where to continue."""
-    return Upload.model_validate(store.get(core, caller.tenant, upload_id))
+    return Upload.model_validate(store.get(core, caller, upload_id))
 
 
 @router.put(
@@ -100,12 +100,14 @@ async def put_upload(
 ) -> Upload:
     """Send bytes, streamed to disk. After a broken connection, ask for `offset` and continue there.
 
+    Of requests that begin at one offset, one is accepted; the others answer 409 with the `offset` to continue at, and
+    change nothing.
     The upload is complete when `size` bytes have come, or, where no size was announced, with the end of the request.
     A model that cannot be read is refused then.
     """
-    row = await asyncio.to_thread(store.get, core, caller.tenant, upload_id)
+    row = await asyncio.to_thread(store.get, core, caller, upload_id)
     if row.state != "open":
-        raise Problem("conflict", f"upload {upload_id!r} is complete")
+        raise Problem("conflict", f"upload {upload_id!r} is complete", offset=row.received)
     if upload_offset != row.received:
         text = f"bytes from {upload_offset} on were sent, {row.received} are here"
         raise Problem("conflict", text, offset=row.received)
@@ -115,4 +117,4 @@ async def put_upload(
 @router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=OF_OWN)
 def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
     """Forget an upload; what was made of it stays."""
-    store.drop(core, store.get(core, caller.tenant, upload_id))
+    store.drop(core, store.get(core, caller, upload_id))

@@ -5,7 +5,6 @@ import hashlib
 import json
 import shutil
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -14,10 +13,12 @@ from starlette.requests import ClientDisconnect
 
 from service.blobs import digest_of
 from service.core import Service
+from service.http.forms import check_text
 from service.problems import Problem
 from service.processes import run_once, task_folder
+from service.trust.api_keys import Caller
 from service.uploads import store
-from service.uploads.store import check_quota
+from service.uploads.store import Received
 
 BATCH = 4 << 20
 """Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""
@@ -26,15 +27,6 @@ WRONG_KIND = {"model": "unreadable-model", "picture": "unreadable-image", "camer
 INSPECTED_BYTES = 256 << 20
 """Larger files are read by their job only."""
 _CHUNK = 1 << 20
-
-
-@dataclass(frozen=True)
-class Received:
-    """What came: bytes, their digest, and whether the client said that was all."""
-
-    length: int
-    sha256: str
-    whole: bool
 
 
 async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Received:
@@ -72,19 +64,20 @@ async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Receiv
 
 
 async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
-    """The row of an upload with the bytes of a request added; once it is complete, with what the file is."""
+    """The row of an upload with the bytes of a request added; once it is complete, with what the file is.
+
+    A request that breaks off leaves what came of it, where the upload's size says that more is to come.
+    """
     room = await asyncio.to_thread(store.room, service, row)
     with service.blobs.new_file() as path:
         got = await receive(stream, path, room)
-        if got.whole and not got.length:
+        if not got.length and got.whole:
             raise Problem("invalid-request", "no bytes were sent")
-        if not got.whole or (row.size is not None and got.length < room):
-            if got.length:
-                await asyncio.to_thread(store.add_part, service, row, path, got.length)
-            return await asyncio.to_thread(store.get, service, row.tenant, row.id)
-        if row.size is None:  # others may have come meanwhile
-            await asyncio.to_thread(check_quota, service, row.tenant, got.length)
-        row = await asyncio.to_thread(store.complete, service, row, path, got.length, got.sha256)
+        if row.size is None and not got.whole:
+            return row
+        if row.size is not None and got.length < room:
+            return await asyncio.to_thread(store.add_part, service, row, path, got) if got.length else row
+        row = await asyncio.to_thread(store.complete, service, row, path, got)
     return await asyncio.to_thread(inspect, service, row)
 
 
@@ -114,14 +107,14 @@ def inspect(service: Service, row: Any) -> Any:
 
 
 def gather(
-    service: Service, tenant: str, upload_ids: Sequence[str], files: Sequence[UploadFile], kind: str
+    service: Service, caller: Caller, upload_ids: Sequence[str], files: Sequence[UploadFile], kind: str
 ) -> list[Any]:
     """Rows of the complete uploads that a request names, and of those that its files become.
 
     conflict where an upload is not complete, unreadable-... where it is no model, picture or cameras as `kind` says.
     """
-    rows = [_whole(service, tenant, upload_id) for upload_id in upload_ids]
-    rows += [_take(service, tenant, file) for file in files]
+    rows = [_whole(service, caller, upload_id) for upload_id in upload_ids]
+    rows += [_take(service, caller, file) for file in files]
     for row in rows:
         found = json.loads(row.info)["kind"] if row.info else kind
         if found != kind:
@@ -129,20 +122,23 @@ def gather(
     return rows
 
 
-def _take(service: Service, tenant: str, file: UploadFile) -> Any:
+def _take(service: Service, caller: Caller, file: UploadFile) -> Any:
     """The row of the upload that a form's file became."""
-    name = PurePosixPath((file.filename or "").replace("\\", "/")).name[:200]
+    try:
+        name = check_text(PurePosixPath((file.filename or "").replace("\\", "/")).name[:200])
+    except ValueError as error:
+        raise Problem("invalid-request", f"name of a file: {error}") from None
     with service.blobs.new_file() as path:
         with path.open("wb") as target:
             shutil.copyfileobj(file.file, target, _CHUNK)
         size = path.stat().st_size
-        row = store.create(service, tenant, name, size or None, None)
-        return inspect(service, store.complete(service, row, path, size, digest_of(path)))
+        row = store.create(service, caller, name, size or None, None)
+        return inspect(service, store.complete(service, row, path, Received(size, digest_of(path), whole=True)))
 
 
-def _whole(service: Service, tenant: str, upload_id: str) -> Any:
+def _whole(service: Service, caller: Caller, upload_id: str) -> Any:
     """The row of a complete upload."""
-    row = store.get(service, tenant, upload_id)
+    row = store.get(service, caller, upload_id)
     if row.state != "complete":
         raise Problem("conflict", f"upload {upload_id!r} is not complete: {row.received} bytes are here")
     return row

@@ -30,10 +30,14 @@ def sweep(service: Service) -> tuple[int, int]:
 
 def _sweep_blobs(service: Service, hours: float) -> int:
     old = datetime.now(UTC) - timedelta(hours=hours)
-    stored = chain.from_iterable(obstore.list(service.blobs.store, "blob"))
+    stored = (
+        entry
+        for kind in ("blob", store.PARTS)
+        for entry in chain.from_iterable(obstore.list(service.blobs.store, kind))
+    )
     candidates = [entry["path"] for entry in stored if entry["last_modified"] < old]
     named = _named(service)  # after the listing: what was put since is named, or too young
-    gone = [path for path in candidates if path.rsplit("/", 1)[-1] not in named]
+    gone = [path for path in candidates if path not in named and path.rsplit("/", 1)[-1] not in named]
     for path in gone:
         if obstore.head(service.blobs.store, path)["last_modified"] < old:  # put again meanwhile: it stays
             service.blobs.remove_part(path)
@@ -41,13 +45,15 @@ def _sweep_blobs(service: Service, hours: float) -> int:
 
 
 def _named(service: Service) -> set[str]:
-    """Digests that some row names."""
+    """Digests that some row names, and names of the parts of uploads under way."""
     of_assets = [assets.c[f"{name}_sha256"] for name in ("original", "model", "record", "preview", "sketch")]
     found: set[str] = set()
     with service.db.read() as connection:
         of_manifests = (manifests.c.file_sha256, manifests.c.sha256)
         for column in (uploads.c.sha256, conversions.c.sha256, *of_manifests, *of_assets):
             found.update(digest for (digest,) in connection.execute(sa.select(column)) if digest)
+        for (parts,) in connection.execute(sa.select(uploads.c.parts)):
+            found.update(store.part_names(parts))
         for (pictures,) in connection.execute(sa.select(claims.c.pictures)):
             found.update(json.loads(pictures).values())
         running = jobs.c.state.not_in([state.value for state in FINAL])

@@ -6,13 +6,13 @@ from datetime import date
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
 
 from engine.watermark.statistics import CHANCE_RATE
 from service.core import Service
 from service.http.access import Core, Verifier
 from service.http.budgets import spend
-from service.http.forms import Files, form_schema, read_form
+from service.http.forms import Asked, Files, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -33,10 +33,10 @@ _EXAMPLES: JsonValue = [
 ]
 
 
-class VerifyRequest(BaseModel):
+class VerifyRequest(Asked):
     """What to check, and against what."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": _EXAMPLES})
+    model_config = ConfigDict(json_schema_extra={"examples": _EXAMPLES})
     upload_id: str | None = Field(
         None, min_length=1, max_length=64, description="A complete upload: the suspect model."
     )
@@ -88,7 +88,6 @@ async def verify(
 
 
 def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, retry_key: str | None) -> Job:
-    tenant = caller.tenant
     model_files, image_files, camera_files = (files.get(name, []) for name in FILES)
     models = [body.upload_id] if body.upload_id else []
     cameras = [body.cameras_upload_id] if body.cameras_upload_id else []
@@ -100,9 +99,9 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
         raise Problem("invalid-request", "at most 64 pictures are read together")
     if (cameras or camera_files) and (models or model_files):
         raise Problem("invalid-request", "cameras belong to pictures; a model needs none")
-    model = gather(core, tenant, models, model_files, "model")
-    images = gather(core, tenant, body.image_upload_ids, image_files, "picture")
-    views = gather(core, tenant, cameras, camera_files, "cameras")
+    model = gather(core, caller, models, model_files, "model")
+    images = gather(core, caller, body.image_upload_ids, image_files, "picture")
+    views = gather(core, caller, cameras, camera_files, "cameras")
     asked: dict[str, object] = {
         "model": model[0].sha256 if model else None,
         "images": [row.sha256 for row in images],

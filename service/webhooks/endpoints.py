@@ -11,6 +11,7 @@ from service.core import Service
 from service.db.schema import deliveries, webhooks
 from service.http.access import Admin, Core
 from service.http.error_responses import OF_OWN, responses
+from service.http.forms import Asked
 from service.http.results import Time
 from service.problems import Problem
 from service.trust import webhook_secrets as registry
@@ -21,12 +22,12 @@ Events = Annotated[list[Literal["job.ended", "mark.found"]], Field(min_length=1,
 _EXAMPLE: JsonValue = {"url": "https://studio.example/mark3dgs", "events": ["job.ended", "mark.found"]}
 
 
-class NewWebhook(BaseModel):
+class NewWebhook(Asked):
     """An address that receives messages."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
+    model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
     url: Url = Field(description="https, on the open network.")
-    events: Events = ["job.ended", "mark.found"]
+    events: Events = Field(["job.ended", "mark.found"])
 
 
 class WebhookView(BaseModel):

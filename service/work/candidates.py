@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cryptography.x509 import load_pem_x509_certificates
+
 from engine.errors import MalformedRecordError
-from engine.flows.records.opened_record import OpenedRecord, attested_by, open_record
+from engine.flows.records.opened_record import OpenedRecord, drawn_by, earliest, open_record
 from engine.flows.trace.candidates import search
 from engine.flows.verify.search import Suspect, VerifyConfig
 from engine.records.attestation import Witness
@@ -24,16 +26,22 @@ class Candidate:
     record: Path
     key: OwnerKey
     logged: Mapping[str, str]  # what the service's log says of its registration; empty where it was not asked
+    vouched: str = ""  # certificates (PEM) that vouch for the time-stamping service that drew for it
 
     def open(self) -> OpenedRecord:
-        """See `engine.flows.verify.search.Candidate`. The log of the service that asks attests the registration."""
+        """See `engine.flows.verify.search.Candidate`. The log of the service that asks attests the registration; that
+        the chips were not tried out, a time-stamping service."""
         try:
             data = self.record.read_bytes()
         except OSError:
             raise MalformedRecordError("the record of this asset is gone") from None
         opened = open_record(data, self.key)
-        witnesses = (Witness(self.logged["at"], LOG, self.logged["drawn_sha256"]),) if self.logged else ()
-        return replace(opened, attested=attested_by(opened, witnesses))
+        if not self.logged:
+            return opened
+        certificates = load_pem_x509_certificates(self.vouched.encode()) if self.vouched else ()
+        drawer, _ = drawn_by(opened, certificates)
+        word = Witness(self.logged["at"], LOG)
+        return replace(opened, attested=earliest([word], drawn=drawer is not None))
 
 
 def load_candidates(request: Request) -> list[Candidate]:
@@ -42,7 +50,8 @@ def load_candidates(request: Request) -> list[Candidate]:
     for plain in request.get("candidates") or ():
         key = OwnerKey(bytes.fromhex(plain["key"]))
         names = str(plain["asset"]), str(plain["original"])
-        found.append(Candidate(*names, Path(plain["record"]), key, plain.get("logged") or {}))
+        logged, vouched = plain.get("logged") or {}, plain.get("vouched") or ""
+        found.append(Candidate(*names, Path(plain["record"]), key, logged, vouched))
     return found
 
 

@@ -1,5 +1,6 @@
 """Task `embed`: the marked model, the record that proves it, and what people and later searches need."""
 
+import base64
 import time
 from pathlib import Path
 
@@ -7,6 +8,7 @@ from engine.catalogue.entry import Entry
 from engine.errors import Mark3DGSError
 from engine.flows.embed.profiles import compose
 from engine.flows.embed.terms import MarkTerms
+from engine.flows.records.draw import DRAWN
 from engine.records.record import Record
 from engine.registration.sketch import make_sketch
 from engine.scenes.scene_files import output_of
@@ -15,11 +17,15 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import message_signs
 from service.work.inputs import check_model, load_cameras
 from service.work.pictures import draw_preview
-from service.work.process import Progress, Reply, Request
+from service.work.process import Parent, Reply, Request
 
 
-def embed_mark(request: Request, folder: Path, progress: Progress) -> Reply:
+def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:
     """Contract: docs/SERVICE.md."""
+
+    def stamp(data: bytes) -> bytes:
+        return base64.b64decode(progress.ask(data.hex()))
+
     key = OwnerKey(bytes.fromhex(request["key"]))
     files = {"model": "model", "record": "model.record", "preview": "preview.png", "sketch": "entry.bin"}
     # What is cheap to refuse is refused before the model is read.
@@ -38,7 +44,7 @@ def embed_mark(request: Request, folder: Path, progress: Progress) -> Reply:
             bits=request.get("bits") or 32,
             cameras=load_cameras(request.get("cameras")),
             registered_at=request.get("registered_at") or "",
-            drawn=request.get("drawn") or "",
+            stamp=stamp if request.get("draws") else None,
             earlier=_earlier(request, key),
         ),
         profile=request["profile"],
@@ -63,6 +69,7 @@ def embed_mark(request: Request, folder: Path, progress: Progress) -> Reply:
         "report": report,
         "record_id": marked.report.record_id,
         "message": marked.report.message,
+        "drawn": dict(marked.record.plan.get("commitments", {})).get(DRAWN, ""),
         "format": kind,
         "original_format": made.loaded.format,
         "original_sha256": made.loaded.sha256,
@@ -71,7 +78,7 @@ def embed_mark(request: Request, folder: Path, progress: Progress) -> Reply:
 
 
 def _earlier(request: Request, key: OwnerKey) -> Record | None:
-    """The record of another copy of this model, if there is one that can be read: it only saves time."""
+    """The record of another copy of this model, if there is one that can be read."""
     if not request.get("earlier"):
         return None
     try:

@@ -15,17 +15,29 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Protocol, TextIO
 
 from engine.numerics.plain import Json
 from service.work.failures import describe
 
 Progress = Callable[[str, float], None]
+
+
+class Parent(Protocol):
+    """Who runs the task: is told how far it is, and can be asked."""
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Progress."""
+
+    def ask(self, question: str) -> str:
+        """The answer to a question of the task's contract; waits for it."""
+
+
 Request = Mapping[str, Any]
 """A task's request, as its JSON came."""
 Reply = Json
 """And its reply, as its JSON goes."""
-Task = Callable[[Request, Path, Progress], Reply]
+Task = Callable[[Request, Path, Parent], Reply]
 
 NICENESS = 5
 """Below the API and the database: they must answer while every core works on a model."""
@@ -65,28 +77,35 @@ def serve(tasks: Mapping[str, Task], warm_up: Callable[[Callable[[], bool]], Non
         except Exception:
             _log.exception("the warm-up failed; the task starts cold")
         line = requests.get()
-    answer = _do(json.loads(line), tasks, _Lines(out))
+    answer = _do(json.loads(line), tasks, _Lines(out, requests))
     out.write(json.dumps(answer) + "\n")
     out.flush()
     os._exit(0)  # nothing is left to tidy up, and tearing down the libraries takes half a second
 
 
 class _Lines:
-    """Progress, as lines of JSON."""
+    """Progress and questions, as lines of JSON; answers come where the request came from."""
 
-    def __init__(self, out: TextIO) -> None:
-        self._out, self._stage, self._at = out, "", 0.0
+    def __init__(self, out: TextIO, answers: queue.Queue[bytes]) -> None:
+        self._out, self._answers, self._stage, self._at = out, answers, "", 0.0
 
     def __call__(self, stage: str, fraction: float) -> None:
         now = time.monotonic()
         if stage == self._stage and fraction < 1 and now - self._at < SECONDS_BETWEEN_LINES:
             return
         self._stage, self._at = stage, now
-        self._out.write(json.dumps({"stage": stage, "fraction": min(1.0, max(0.0, float(fraction)))}) + "\n")
+        self._say({"stage": stage, "fraction": min(1.0, max(0.0, float(fraction)))})
+
+    def ask(self, question: str) -> str:
+        self._say({"ask": question})
+        return str(json.loads(self._answers.get())["answer"])
+
+    def _say(self, line: Json) -> None:
+        self._out.write(json.dumps(line) + "\n")
         self._out.flush()
 
 
-def _do(envelope: Json, tasks: Mapping[str, Task], progress: Progress) -> Json:
+def _do(envelope: Json, tasks: Mapping[str, Task], progress: Parent) -> Json:
     request, folder = envelope["request"], Path(envelope["folder"])
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)  # what libraries put aside goes with the folder
     try:

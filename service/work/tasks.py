@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 
-from service.work.process import Progress, Reply, Request, Task
+from service.work.process import Parent, Reply, Request, Task
 
 __all__ = ["TASKS", "preload"]
 
 
 def _task(module: str, name: str) -> Task:
-    def run(request: Request, folder: Path, progress: Progress) -> Reply:
+    def run(request: Request, folder: Path, progress: Parent) -> Reply:
         reply: Reply = getattr(import_module(f"service.work.{module}"), name)(request, folder, progress)
         return reply
 

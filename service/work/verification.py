@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.trace.candidates import Outcome
 from engine.flows.verify.search import Suspect, VerifyConfig
 from engine.present.checks import NO_RECORD, checks_of
@@ -104,7 +105,7 @@ def _others(found: VerifyAnswer[Candidate]) -> list[Reply]:
 
 def _report(found: VerifyAnswer[Candidate]) -> Reply:
     """The part of the reply that speaks of the best candidate."""
-    names = ("asset", "claim", "record", "attested", "registered_message")
+    names = ("asset", "claim", "record", "attested", "drawing", "registered_message")
     nothing: Reply = dict.fromkeys(names) | {"files": {}, "regions": None}
     best = found.best
     if best is None:
@@ -113,10 +114,18 @@ def _report(found: VerifyAnswer[Candidate]) -> Reply:
     claim = best.claim.to_json() if best.claim is not None else None
     return nothing | {
         "asset": best.candidate.asset,
-        "tries": found.search.tries,
+        "tries": found.search.tries if best.claim is None else best.claim.tries,
         "claim": claim,
         "checks": checks_of(claim, best.error),
         "record": opened.header.to_json() if opened is not None else None,
         "attested": opened.attested.to_json() if opened is not None and opened.attested is not None else None,
+        "drawing": _drawing(opened),
         "registered_message": message_hex(opened.message) if opened is not None else None,
     }
+
+
+def _drawing(opened: OpenedRecord | None) -> Reply | None:
+    """The time stamp that drew for the record, where it counts."""
+    if opened is None or opened.attested is None or opened.draw is None or not opened.attested.drawn:
+        return None
+    return opened.draw.to_json()

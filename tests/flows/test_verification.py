@@ -20,7 +20,7 @@ from engine.model import GaussianModel
 from engine.raster import render
 from engine.watermark.claim import LINEAR
 from engine.watermark.grain import roughen
-from engine.watermark.rates import Attested
+from engine.watermark.rates import OWNER, Attested, Condition, ConditionKind
 
 pytestmark = pytest.mark.slow
 
@@ -265,7 +265,7 @@ def test_the_rate_is_not_the_claimant_s_choice(scene: MarkedScene) -> None:
     stamped = replace(scene.opened, attested=Attested("2026-03-01T00:00:00+00:00", "a time-stamping service"))
     dated = verify_images([shot], stamped, VerifyConfig(suspect_seen="2026-03-02"), cameras=[camera]).claim
     assert (dated.verdict.value, dated.rate_basis) == ("inconclusive", "dated")
-    assert dated.conditions == ("the suspect did not exist before 2026-03-02, which is the owner's word",)
+    assert dated.conditions == (Condition(ConditionKind.SUSPECT_SINCE, "2026-03-02", OWNER),)
 
 
 def test_renders_say_as_much_however_small_the_key_views_were(small_plant: GaussianModel) -> None:

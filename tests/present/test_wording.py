@@ -6,7 +6,7 @@ from engine.errors import MalformedRecordError, WrongKeyError
 from engine.present.checks import CHECKS, checks_of, named
 from engine.present.numerals import PLAIN, TYPOGRAPHIC, percent, surely, when
 from engine.present.wording import Words, words_of
-from engine.watermark.rates import BASES
+from engine.watermark.rates import BASES, OWNER, Condition, ConditionKind
 
 
 def report(verdict: str, **changes: object) -> dict[str, object]:
@@ -126,11 +126,12 @@ def test_the_suspect_is_called_what_it_is(pictures: int, text: str) -> None:
 
 
 def test_an_answer_that_hangs_on_the_owners_word_says_so_first() -> None:
-    seen = "the suspect did not exist before 2026-11-03, which is the owner's word"
-    open_one = report("inconclusive", would_be_claim_if_attested=True, conditions=[seen], missing="more")
-    words = words_of(open_one, PLAIN)
-    assert words.finding.startswith("This would be a claim at 1 in 10^9 if the suspect did not exist before 2026-11-03")
-    assert "the owner's word" in words.finding
+    seen = Condition(ConditionKind.SUSPECT_SINCE, "2026-11-03", OWNER)
+    for known in (seen.to_json(), seen.text):  # claims of earlier versions have sentences
+        open_one = report("inconclusive", would_be_claim_if_attested=True, conditions=[known], missing="more")
+        said = words_of(open_one, PLAIN).finding
+        assert said.startswith("This would be a claim at 1 in 10^9 if the suspect did not exist before 2026-11-03")
+        assert "the owner's word" in said
     earlier = {name: value for name, value in open_one.items() if name != "conditions"}
     assert "if a third party attested" in words_of(earlier, PLAIN).finding
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec, utils
 
 from engine.records import timestamps
-from engine.records.timestamps import TimestampFault, check_stamp, stamp, stamped_at
+from engine.records.timestamps import TimestampFault, check_stamp, drawn_from, make_query, stamp, stamped_at
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the time stamps")
 JWS = b"eyJh.bbbb.cccc"
@@ -50,11 +51,12 @@ ess_cert_id_alg = sha256
 class Authority:
     """A certificate authority and a time-stamping service under it, in a folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, rsa: bool = False) -> None:
         self.folder = folder
         (folder / "config").write_text(CONFIG)
         (folder / "serial").write_text("01")
-        new_key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-config", "config"]
+        kind = ["rsa:2048"] if rsa else ["ec", "-pkeyopt", "ec_paramgen_curve:P-256"]
+        new_key = ["-newkey", *kind, "-nodes", "-config", "config"]
         self.run("req", "-x509", "-days", "2", "-extensions", "ca", "-keyout", "ca.key", "-out", "ca.pem", *new_key)
         self.run("req", "-keyout", "tsa.key", "-out", "tsa.csr", "-subj", "/CN=Test stamps", *new_key)
         self.run(
@@ -156,14 +158,92 @@ def test_a_stamp_of_another_authority_is_refused(token: bytes, tmp_path: Path) -
 
 def test_a_changed_stamp_is_refused_or_says_the_same(authority: Authority, token: bytes) -> None:
     """Some bits in a reply are signed by nobody (its wrapping); none of them changes what it says."""
-    at, refused = stamped_at(token, JWS), 0
+    at, drawn, refused = stamped_at(token, JWS), drawn_from(token), 0
     for spot in range(0, len(token), 3):
         bent = token[:spot] + bytes([token[spot] ^ 1 << spot % 8]) + token[spot + 1 :]
         try:
             assert check_stamp(bent, JWS, authority.roots) == at
+            assert drawn_from(bent) == drawn
         except TimestampFault:
             refused += 1
     assert refused > 0.95 * len(token) / 3
+
+
+def parts(data: bytes) -> list[tuple[int, bytes]]:
+    """Tag and content of each DER value in turn."""
+    found = []
+    while data:
+        width = data[1] & 0x7F if data[1] & 0x80 else 0
+        length = int.from_bytes(data[2 : 2 + width], "big") if width else data[1]
+        found.append((data[0], data[2 + width : 2 + width + length]))
+        data = data[2 + width + length :]
+    return found
+
+
+def der(tag: int, content: bytes) -> bytes:
+    """One DER value."""
+    size = len(content)
+    width = (size.bit_length() + 7) // 8
+    return bytes([tag, size] if size < 128 else [tag, 0x80 | width, *size.to_bytes(width, "big")]) + content
+
+
+def with_signer(token: bytes, change: Callable[[list[tuple[int, bytes]]], list[tuple[int, bytes]]]) -> bytes:
+    """The stamp with other parts of its one SignerInfo, all lengths made to fit."""
+
+    def last(data: bytes, depth: int) -> bytes:
+        *before, (tag, content) = parts(data)
+        inner = b"".join(der(*each) for each in change(parts(content))) if depth == 0 else last(content, depth - 1)
+        return b"".join(der(*each) for each in before) + der(tag, inner)
+
+    return last(token, 5)  # reply, ContentInfo, [0], SignedData, SignerInfos, SignerInfo
+
+
+def test_the_other_signature_that_anybody_can_make_draws_the_same(authority: Authority, token: bytes) -> None:
+    """(r, n - s) holds where (r, s) does, and is another text, too: by itself it would be a second draw for nothing."""
+    order = ec.SECP256R1().group_order
+
+    def mirrored(signer: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+        r, s = utils.decode_dss_signature(signer[-1][1])
+        return [*signer[:-1], (0x04, utils.encode_dss_signature(r, order - s))]
+
+    other = with_signer(token, mirrored)
+    assert with_signer(token, lambda signer: signer) == token
+    assert with_signer(other, mirrored) == token != other
+    assert check_stamp(other, JWS, authority.roots) == stamped_at(token, JWS)
+    assert drawn_from(other) == drawn_from(token)
+
+
+def test_what_nobody_signed_draws_nothing(authority: Authority, token: bytes) -> None:
+    """Unsigned attributes, and certificates in any number, are put in by whoever holds the stamp."""
+    attribute = der(0x30, bytes.fromhex("06032a0304") + der(0x31, der(0x04, b"mine")))
+    more = with_signer(token, lambda signer: [*signer, (0xA1, attribute)])
+    assert more != token
+    assert check_stamp(more, JWS, authority.roots) == stamped_at(token, JWS)
+    assert drawn_from(more) == drawn_from(token)
+
+
+def test_two_signers_draw_nothing(token: bytes) -> None:
+    """Whoever may add one of his own chooses."""
+    (_, reply), (*_, end) = parts(token)[0], parts(token)[1:] or (None,)
+    assert end is None
+    status, (tag, info) = parts(reply)
+    kind, (_, wrapped) = parts(info)
+    (_, signed), *_ = parts(wrapped)
+    *before, (_, signers) = parts(signed)
+    both = b"".join(der(*each) for each in before) + der(0x31, signers + signers)
+    twice = der(0x30, der(*status) + der(tag, der(*kind) + der(0xA0, der(0x30, both))))
+    with pytest.raises(TimestampFault):
+        drawn_from(twice)
+
+
+@pytest.mark.parametrize("rsa", [False, True])
+def test_each_request_draws_anew(tmp_path: Path, rsa: bool) -> None:
+    authority = Authority(tmp_path, rsa=rsa)
+    tokens = [authority.reply(make_query(JWS)) for _ in range(3)]
+    assert len({drawn_from(each) for each in tokens}) == 3
+    for each in tokens:
+        check_stamp(each, JWS, authority.roots)
+        assert len(drawn_from(each)) == 64
 
 
 @pytest.mark.parametrize(

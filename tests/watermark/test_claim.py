@@ -15,7 +15,7 @@ from engine.watermark.derivation import Derivation
 from engine.watermark.keys import signs
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
-from engine.watermark.rates import Attested, applicable_rate
+from engine.watermark.rates import DRAWS, Attested, applicable_rate
 from engine.watermark.spreading import Spreading
 from engine.watermark.statistics import z_threshold
 
@@ -87,6 +87,20 @@ def test_evidence_between_the_two_rates_would_be_a_claim() -> None:
     assert (strong.verdict, strong.would_be_claim_if_attested) == (Verdict.MARKED, False)
     older = claim(0.15, config=ClaimConfig.at(applicable_rate(1e-9, Attested("2026-01-01", "x"), "2025-01-01")))
     assert (older.verdict, older.would_be_claim_if_attested) == (Verdict.INCONCLUSIVE, False)
+
+
+def test_requests_to_who_drew_are_hypotheses_of_the_claim_and_not_of_the_copy() -> None:
+    attested = Attested("2026-01-01", "x", drawn=True)
+    plain = claim(0.2, config=ClaimConfig.at(applicable_rate(1e-9, replace(attested, tries=1))), copy_z=7.5)
+    drawn = claim(0.2, config=ClaimConfig.at(applicable_rate(1e-9, attested)), copy_z=7.5)
+    assert drawn.tries == DRAWS * plain.tries
+    assert drawn.log10_false_claim == pytest.approx(plain.log10_false_claim + math.log10(DRAWS))
+    assert drawn.z_threshold > plain.z_threshold
+    assert drawn.copy_named == plain.copy_named
+    assert drawn.copy_named
+    weak = [claim(0.15, config=ClaimConfig.at(applicable_rate(1e-9, each))) for each in (None, attested)]
+    assert [one.verdict for one in weak] == [Verdict.INCONCLUSIVE] * 2
+    assert weak[0].would_be_claim_if_attested, "enough at 1e-9, where nothing was tried out"
 
 
 def test_an_unmarked_suspect() -> None:

@@ -7,7 +7,17 @@ import math
 import pytest
 
 from engine.errors import InputError
-from engine.watermark.rates import BASES, DEMANDS, Attested, applicable_rate
+from engine.watermark.rates import (
+    ATTESTATION,
+    BASES,
+    DEMANDS,
+    DRAWS,
+    OWNER,
+    Attested,
+    Condition,
+    ConditionKind,
+    applicable_rate,
+)
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 
 STAMPED = Attested("2026-03-01T12:00:00+00:00", "a time-stamping service")
@@ -39,6 +49,32 @@ def test_the_rate_follows_from_who_says_when(
     strict = applicable_rate(1e-50, attested, seen)
     assert strict.rate == 1e-50
     assert strict.basis == basis
+
+
+def test_what_is_drawn_by_a_time_stamping_service_counts_its_requests() -> None:
+    assert DRAWS == 2**20
+    assert applicable_rate(1e-9, DRAWN).tries == DRAWS
+    for attested, seen in ((None, ""), (STAMPED, ""), (STAMPED, "2026-03-02"), (DRAWN, "2020-01-01")):
+        assert applicable_rate(1e-9, attested, seen).tries == 1
+
+
+def test_conditions_say_what_by_when_and_who_vouches() -> None:
+    """The owner's word is called that; a third party's is yet to come."""
+    registered = Condition(ConditionKind.REGISTERED_BEFORE, None, ATTESTATION)
+    since = Condition(ConditionKind.SUSPECT_SINCE, "2026-03-02", OWNER)
+    for attested, seen, conditions in (
+        (None, "", (registered,)),
+        (None, "2026-12-24", (registered,)),
+        (STAMPED, "", (registered,)),
+        (STAMPED, "2026-03-02", (since,)),
+        (STAMPED, "2026-03-01", ()),
+        (DRAWN, "", ()),
+    ):
+        assert applicable_rate(1e-9, attested, seen).conditions == conditions
+    said = since.to_json()
+    assert (said["kind"], said["date"], said["by"]) == ("suspect_since", "2026-03-02", "owner")
+    assert "2026-03-02" in said["text"]
+    assert "the owner's word" in said["text"]
 
 
 def test_dates_are_refused_in_words() -> None:

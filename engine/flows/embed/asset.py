@@ -15,13 +15,14 @@ from engine.compress.hvq import Stage, group_means
 from engine.flows.embed.auto_profile import Choice
 from engine.flows.embed.copy_mark import COPY_MARGIN_DB, Committed, OwnerMark, make_owner_mark
 from engine.flows.embed.delivery import Delivery
+from engine.flows.embed.draws import Draws, shares_layer
 from engine.flows.embed.landmark_bank import bank_views, make_bank
 from engine.flows.embed.layer_strengths import Fidelity, Grained, settle, settle_grain
 from engine.flows.embed.planning_basis import Groundwork
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Clock
-from engine.flows.records.opened_record import DRAWN, landmarks_in
+from engine.flows.records.opened_record import landmarks_in
 from engine.flows.views.camera_rig import Extent
 from engine.model import Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -67,18 +68,20 @@ class Asset:
         return find_lattices(self.delivery.model) if free else FREE
 
     @cached_property
-    def owner_mark(self) -> tuple[OwnerMark, Committed]:
-        """What all copies share, and what their records commit to."""
+    def owner_mark(self) -> OwnerMark:
+        """What all copies share, with what their records commit to."""
         terms, settings, ground, views = self.terms, self.settings, self.delivery.ground, self.delivery.views
         settled = settle(views, self._plan(), settings, self.grained)
         message = derive_message(self.key, terms.length, self.digest) if terms.message is None else terms.message
-        commitments = {**terms.variant.commitments, **({DRAWN: terms.drawn} if terms.drawn else {})}
-        committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments)
+        earlier = terms.earlier
+        shared = earlier if earlier is not None and shares_layer(earlier, self.digest, self.key) else None
+        draws = Draws(self.original_sha256, terms.stamp, shared)
+        commitments = terms.variant.commitments
+        committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments, draws)
         wanted = Fidelity(settings.psnr_db + (COPY_MARGIN_DB if self.copied else 0.0), settings.ssim)
         at_view = terms.variant.at_view
         pixels = ground.picture_scale
-        made = make_owner_mark(views, settled, self.key, committed, wanted, pixels, at_view, self.lattices)
-        return made, committed
+        return make_owner_mark(views, settled, self.key, committed, wanted, pixels, at_view, self.lattices)
 
     def _plan(self) -> Plan:
         """The tint at unit strength, on cells that the key joins; and the layer in which copies may differ."""

@@ -6,13 +6,17 @@
    own would give its values away to whoever compares copies.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from engine.flows.embed.draws import Draws
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
+from engine.flows.records.draw import DRAWN
 from engine.flows.records.opened_record import Drawn, Layers, OpenedRecord, draw_copy, draw_owner, plan_of
 from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float32, Float64, GaussianModel
@@ -43,6 +47,17 @@ class Committed:
     cameras: Sequence[Camera]
     landmarks: Landmarks | None
     commitments: Mapping[str, str] = field(default_factory=dict)
+    draws: Draws | None = None  # by whom a part of each plan is drawn
+    stamps: tuple[bytes, ...] = ()  # time stamps by which it was, of the plans so far; the last is this one's
+
+    def drawn_for(self, key: OwnerKey, model: GaussianModel, settled: Settled) -> Committed:
+        """With what is drawn for this plan, in place of what was for another."""
+        if self.draws is None:
+            return self
+        drawn, stamp = self.draws.draw(key, self.asset, self.plan(model, settled))
+        others = {name: text for name, text in self.commitments.items() if name != DRAWN}
+        stamps = self.stamps if stamp is None else (*self.stamps, stamp)
+        return replace(self, commitments=others | ({DRAWN: drawn} if drawn else {}), stamps=stamps)
 
     def plan(self, model: GaussianModel, settled: Settled, draw: int = 0) -> Plan:
         """The plan of one copy's draw."""
@@ -56,6 +71,7 @@ class OwnerMark:
     """The layer that all copies share, settled."""
 
     settled: Settled
+    committed: Committed  # with what was drawn for it
     drawn: Drawn
     signed: Float64  # (C,) displacement of each chip of the tint
     tint: Float32  # (N, D) displacement of the colours
@@ -106,6 +122,7 @@ def make_owner_mark(
         pictured = capacity_bits(plan.energies * pixels, plan.layout.chips)
         capacity = max(pictured, grain_capacity(len(model)) if grain.there else 0)
         check_capacity(bits, capacity)
+        committed = committed.drawn_for(key, model, settled)
         drawn = draw_owner(key, committed.asset, plan.layout, committed.plan(model, settled))
         signed = signed_amplitudes(plan.layout.amplitudes, drawn.tint, committed.message)
         rough = None
@@ -125,20 +142,14 @@ def make_owner_mark(
         if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
         settled = settled.lowered(fidelity, wanted)
-    return OwnerMark(settled, drawn, signed, tint, rough, marked, lattices, fidelity, capacity, pictured)
+    return OwnerMark(settled, committed, drawn, signed, tint, rough, marked, lattices, fidelity, capacity, pictured)
 
 
 def make_mark(
-    views: ViewSet,
-    owner: OwnerMark,
-    key: OwnerKey,
-    copy: str,
-    committed: Committed,
-    wanted: Fidelity,
-    at_view: AtView | None,
+    views: ViewSet, owner: OwnerMark, key: OwnerKey, copy: str, wanted: Fidelity, at_view: AtView | None
 ) -> Mark:
     """One recipient's copy; where there is no copy layer, the owner's mark by itself."""
-    settled, model = owner.settled, views.model
+    settled, committed, model = owner.settled, owner.committed, views.model
     copies = settled.copies
     if copies is None:
         return Mark(owner.model, committed.plan(model, settled), 0.0, owner.fidelity)

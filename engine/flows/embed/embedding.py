@@ -22,12 +22,14 @@ from engine.flows.embed.asset import Asset, bank_of, known_landmarks
 from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import make_mark
 from engine.flows.embed.delivery import Pruned, deliver
+from engine.flows.embed.draws import SECOND_WATERMARK, second_watermark, shares_layer
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
+from engine.flows.records.draw import stamps_beside
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
@@ -102,7 +104,7 @@ def embed(
     copy : str
         Name of the recipient; every copy has a message and chips of its own.
     **options
-        `message`, `bits`, `config`, `cameras`, `registered_at`, `drawn`, `earlier`, `variant`: see `terms.MarkTerms`.
+        `message`, `bits`, `config`, `cameras`, `registered_at`, `stamp`, `earlier`, `variant`: see `terms.MarkTerms`.
     """
     return next(embed_copies(model, key, [copy], original_sha256=original_sha256, progress=progress, **options))
 
@@ -200,12 +202,12 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
     delivery, ground, views = asset.delivery, asset.delivery.ground, asset.delivery.views
     bits, wanted = terms.length, Fidelity(settings.psnr_db, settings.ssim)
     with clock.stage("plan"):  # 5, 6
-        owner, committed = asset.owner_mark
-    plan = owner.settled.plan
+        owner = asset.owner_mark
+    committed, plan = owner.committed, owner.settled.plan
     with clock.stage("mark"):
         if terms.earlier is not None:
             _check_shared(terms.earlier, committed.plan(views.model, owner.settled), asset)
-        mark = make_mark(views, owner, key, copy, committed, wanted, variant.at_view)
+        mark = make_mark(views, owner, key, copy, wanted, variant.at_view)
     marked, fidelity = mark.model, mark.fidelity
     if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
@@ -218,7 +220,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
             asset.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
-            extra={"settings": settings.told()},
+            extra={"settings": settings.told(), **stamps_beside(committed.stamps)},
             copy=copy,
             registered_at=terms.registered_at,
         )
@@ -251,18 +253,11 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
     """Refuse a second owner's layer on one model: whoever has a copy of each could tell both from their difference."""
-    header, (ours, arrays) = earlier.header, plan
-    if (header.reference_digest, header.owner) != (asset.digest.hex(), asset.key.fingerprint):
+    if not shares_layer(earlier, asset.digest, asset.key):
         return
+    ours, arrays = plan
     copies = [{**each["copies"], "draw": 0} if "copies" in each else None for each in (earlier.plan, ours)]
     same = copies[0] == copies[1] and {**earlier.plan, "copies": 0} == {**ours, "copies": 0}
     same &= set(arrays) == set(earlier.plan_arrays)
-    if header.format_version < 3 or (same and all(np.array_equal(earlier.plan_arrays[n], arrays[n]) for n in arrays)):
-        return
-    raise InputError(f"this model was marked before (copy {earlier.copy!r}) with other settings: {SECOND_WATERMARK}")
-
-
-SECOND_WATERMARK = (
-    "two watermarks of yours on one model give each other away to anyone who compares the files. Use the same settings,"
-    " message and program version, and a recipient's name for every copy or for none"
-)
+    if not (same and all(np.array_equal(earlier.plan_arrays[n], arrays[n]) for n in arrays)):
+        raise second_watermark(earlier)

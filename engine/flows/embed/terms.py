@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict
 
+from engine.flows.embed.draws import Stamp
 from engine.flows.embed.profiles import Settings
 from engine.flows.embed.variant import PLAIN, Variant
 from engine.model import Camera
@@ -23,9 +24,9 @@ class MarkTerms:
     # The owner's own cameras; key views are chosen among them. Generated from the model otherwise
     cameras: Sequence[Camera] | None = None
     registered_at: str = ""  # time of registration as the caller knows it; no clock is read here
-    # What a third party that attests the registration drew for it, when key and original were settled: it enters the
-    # plan, and so decides the chips, which nobody can then try out beforehand
-    drawn: str = ""
+    # A time-stamping service that draws a part of the plan once all the rest is settled, so that records cannot be
+    # tried out without asking it; not asked where `earlier` has what was drawn
+    stamp: Stamp | None = None
     # Record of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of
     # made anew: same bytes, sooner
     earlier: Record | None = None
@@ -48,6 +49,6 @@ class MarkOptions(TypedDict, total=False):
     config: Settings | None
     cameras: Sequence[Camera] | None
     registered_at: str
-    drawn: str
+    stamp: Stamp | None
     earlier: Record | None
     variant: Variant

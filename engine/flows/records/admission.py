@@ -9,6 +9,7 @@ DC, or all that the reference has), C = R * sum M_s chips, P chips of the copy l
 A size that no earlier row fixed is taken from the array, within its limits.
 """
 
+import base64
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -60,6 +61,8 @@ MOST_DRAWS = 256
 """Times that a copy's layer is drawn."""
 MOST_NAME = 400
 """Characters of a copy's name, and of a commitment."""
+MOST_STAMPS, MOST_STAMP = 16, 1 << 17
+"""Time stamps that drew for a plan, and characters of one."""
 
 
 def _is_number(value: Any) -> bool:
@@ -97,6 +100,14 @@ def _is_texts(value: Any) -> bool:
     return isinstance(value, dict) and 1 <= len(value) <= 16 and all(map(_is_text, (*value, *value.values())))
 
 
+def _is_stamps(value: Any) -> bool:
+    texts = isinstance(value, list) and 1 <= len(value) <= MOST_STAMPS and all(isinstance(each, str) for each in value)
+    try:
+        return texts and all(len(each) <= MOST_STAMP and base64.b64decode(each, validate=True) for each in value)
+    except ValueError:
+        return False
+
+
 def _is_text(value: Any) -> bool:
     return isinstance(value, str) and len(value) <= MOST_NAME and value.encode(errors="replace").decode() == value
 
@@ -123,6 +134,7 @@ PLAN: Mapping[str, Rule] = {
 EXTRA: Mapping[str, Rule] = {
     "strength": Rule(_is_number, "a positive number up to 10^6", required=False),
     "settings": Rule(lambda value: isinstance(value, dict), "an object"),
+    "stamps": Rule(_is_stamps, f"1 to {MOST_STAMPS} time stamps in base64", required=False),
 }
 """JSON values beside the plan: nothing here may decide anything that the chips do not follow from."""
 
@@ -155,7 +167,7 @@ def admit(
         raise MalformedRecordError("the record's copy has no usable name")
     _admit_values(plan, PLAN, "plan")
     _admit_values(extra, EXTRA, "settings")
-    later = "copies" in plan or "multiples" in arrays
+    later = "copies" in plan or "multiples" in arrays or "stamps" in extra
     if ("strength" in extra) != (version == 1) or ("grain" in plan and version == 1) or (later and version < 3):
         raise MalformedRecordError(f"the record's fields are not those of format {version}")
     if ("copies" in plan) != ("copies/labels" in arrays) or ("copies/multiples" in arrays and "copies" not in plan):

@@ -12,16 +12,18 @@ all copies share, so no difference of copies shows them; the *copy's* follow fro
 before.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from hashlib import sha256
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError, MalformedRecordError
 from engine.flows.records.admission import admit
+from engine.flows.records.draw import DRAWN, Draw, stamps_in, terms_of
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int32
 from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -36,13 +38,13 @@ from engine.watermark.rates import Attested
 from engine.watermark.secret_cells import MULTIPLE
 from engine.watermark.spreading import Spreading, grain_key, spread, spread_grain
 
+if TYPE_CHECKING:
+    from cryptography import x509
+
 FIRST_STRENGTH = 2.4
 """Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
-
-DRAWN = "drawn"
-"""Name of the commitment to what whoever attests the registration drew for the plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,7 @@ class OpenedRecord:
     copies: CopyLayer | None = None
     copy_key: bytes = field(default=b"", repr=False)
     kept: Bool | None = None  # (M,) which Gaussians of the committed reference this one still has, where not all
+    draw: Draw | None = None  # by which a part of the plan was drawn, not yet believed; None where nobody did
     attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
 
     def spreading_of(self, chips: int) -> Spreading:
@@ -222,6 +225,10 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
     if version == 1:
         strength = float(record.extra["strength"]) / FIRST_STRENGTH
         layout = replace(layout, amplitudes=FIRST_STRENGTH * layout.amplitudes)
+    stamps, draw = stamps_in(record), None
+    if stamps:
+        terms = terms_of(key, bytes.fromhex(record.header.reference_digest), (dict(record.plan), dict(arrays)))
+        draw = Draw(stamps[-1], record.header.original_digest, terms.hex())
     cameras = [
         Camera(viewmat, K, int(size[0]), int(size[1]))
         for viewmat, K, size in zip(
@@ -244,6 +251,7 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
         dict(record.plan.get("commitments", {})),
         copies,
         drawn.copy_key,
+        draw=draw,
     )
 
 
@@ -274,12 +282,26 @@ def open_attested(data: bytes, key: OwnerKey, trust: Trust) -> tuple[OpenedRecor
 
         witnesses, notes = check_attestations(data, trust)
     opened = open_record(data, key)
-    return replace(opened, attested=attested_by(opened, witnesses)), notes
+    drawer, fault = drawn_by(opened, trust.certificates)
+    if drawer is not None:
+        witnesses = (*witnesses, drawer)
+    return replace(opened, attested=earliest(witnesses, drawn=drawer is not None)), (*notes, *fault)
 
 
-def attested_by(opened: OpenedRecord, witnesses: tuple[Witness, ...]) -> Attested | None:
-    """The word that counts most: of one who drew a part of the plan, then the earliest."""
-    own = opened.commitments.get(DRAWN, "")
-    digest = sha256(own.encode()).hexdigest() if own else "nothing was drawn"
-    words = [Attested(each.at, each.by, each.drawn_sha256 == digest) for each in witnesses]
-    return min(words, key=lambda word: (not word.drawn, word.moment), default=None)
+def drawn_by(opened: OpenedRecord, certificates: Sequence[x509.Certificate]) -> tuple[Witness | None, tuple[str, ...]]:
+    """The time-stamping service that drew a part of the plan, if these certificates vouch for it; else what is to be
+    said of that, if anything."""
+    if opened.draw is None:
+        return None, ()
+    from engine.records.timestamps import TimestampFault
+
+    try:
+        return opened.draw.check(opened.commitments.get(DRAWN, ""), certificates), ()
+    except TimestampFault as fault:
+        return None, (f"a time stamp is there that drew for the watermark, and does not count: {fault}",)
+
+
+def earliest(witnesses: Sequence[Witness], *, drawn: bool = False) -> Attested | None:
+    """The word that counts: the earliest; whether a part of the plan was `drawn` is known apart."""
+    words = [Attested(each.at, each.by, drawn) for each in witnesses]
+    return min(words, key=lambda word: word.moment, default=None)

@@ -1,5 +1,6 @@
 // Upload in pieces; after a broken connection it asks how far it came and goes on from there.
 import { LOST, Problem, authorization, getJson, pause, postJson, problemOf } from "./api.js";
+import { sha256 } from "./sha256.js";
 
 const PIECE = 32 * 2 ** 20;
 const PATIENCE = 8; // attempts without a byte of progress, about two minutes
@@ -13,7 +14,8 @@ const PATIENCE = 8; // attempts without a byte of progress, about two minutes
  * @returns {Promise<object>} the upload: id, sha256, info
  */
 export async function upload(file, tell, signal) {
-  let slot = await postJson("/v1/uploads", { name: file.name.slice(-200), size: file.size }, { signal });
+  const announced = { name: file.name.slice(-200), size: file.size, sha256: await sha256(file, signal) };
+  let slot = await postJson("/v1/uploads", announced, { signal });
   const path = `/v1/uploads/${slot.id}`;
   let offset = slot.offset;
   let failures = 0;
@@ -36,7 +38,7 @@ export async function upload(file, tell, signal) {
 }
 
 /** Whether trying again can help: no connection, a gateway's answer, bytes that arrived although nobody said so. */
-const passing = (error) => error.title === LOST || error.status === 409 || error.status >= 502;
+const passing = (error) => error.title === LOST || [408, 409].includes(error.status) || error.status >= 502;
 
 async function standing(path, last, signal) {
   try {

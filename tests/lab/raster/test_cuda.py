@@ -109,5 +109,16 @@ def test_same_image_and_gradients_on_the_gpu() -> None:
     assert difference.max() <= TOLERANCE["pixel"]
     image.square().sum().backward()
     again.square().sum().backward()
-    for name in ("means", "quats", "log_scales", "opacity_logits", "sh", "viewmat"):
+    for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
         assert relative(p[name].grad.cpu(), q[name].grad) <= 10 * TOLERANCE["gradient"], name
+    assert relative(motion(p["viewmat"]), motion(q["viewmat"])) <= 10 * TOLERANCE["gradient"]
+
+
+def motion(viewmat: torch.Tensor) -> torch.Tensor:
+    """(6,) gradient of turning about the camera's axes and of moving it: where a matrix may also shear, the two extend
+    the image differently."""
+    assert viewmat.grad is not None
+    gradient, matrix = viewmat.grad.cpu(), viewmat.detach().cpu()
+    turn = (gradient @ matrix.T)[:3, :3]
+    above = torch.triu_indices(3, 3, offset=1)
+    return torch.cat([(turn - turn.T)[above[0], above[1]], gradient[:3, 3]])

@@ -81,6 +81,23 @@ def test_an_asset_and_a_claim(own: Service) -> None:
     assert own.blobs.digest_found(digests["picture"]) == ""
 
 
+def test_parts_of_uploads_that_no_row_names(own: Service) -> None:
+    """As a process that died, or lost a race, leaves them."""
+    client = _api(own, TENANT, ["admin"]).client
+    slot = client.post("/v1/uploads", json={"size": 20}).json()["id"]
+    client.put(f"/v1/uploads/{slot}", content=bytes(10))
+    with own.blobs.new_file() as path:
+        path.write_bytes(b"lost")
+        own.blobs.put_part(path, f"upload/{slot}/0000000000000010-lost")
+    sweep(own)
+    files = (own.blobs.folder or SMALL) / "upload" / slot
+    assert len(list(files.iterdir())) == 2, "too young"
+    age(own)
+    sweep(own)
+    (left,) = files.iterdir()
+    assert left.read_bytes() == bytes(10), "what the row names stays"
+
+
 def test_uploads_are_listed(api: Api, stranger: Api) -> None:
     made = [api.upload(SMALL.read_bytes(), f"{number}.ply") for number in range(3)]
     page = api.client.get("/v1/uploads", params={"limit": 2}).json()

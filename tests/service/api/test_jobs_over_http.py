@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from service.core import Service
 from service.jobs.port import State
 from service.settings import Settings
-from tests.service.api.conftest import SMALL, Api
+from tests.service.api.conftest import SMALL, Api, _api
 
 
 def embed_body(api: Api) -> dict[str, object]:
@@ -50,13 +51,24 @@ def test_a_retry_while_the_first_is_being_answered(api: Api, monkeypatch: pytest
     body, headers = embed_body(api), {"Idempotency-Key": "two"}
     answers = []
 
-    def submit(job: object) -> object:
+    def submit(job: object, most: int) -> object:
         answers.append(api.client.post("/v1/embed", json=body, headers=headers))
         raise RuntimeError("the first dies here")
 
     monkeypatch.setattr(api.service.jobs, "submit", submit)
     assert api.client.post("/v1/embed", json=body, headers=headers).status_code == 500
     assert (answers[0].status_code, answers[0].json()["type"]) == (409, "urn:mark3dgs:problem:request-in-flight")
+
+
+def test_two_keys_may_draw_one_idempotency_key(service: Service) -> None:
+    """Neither is handed the other's job, nor its problem."""
+    one, other = _api(service, "tenant of two", ["embed", "verify"]), _api(service, "tenant of two", ["verify"])
+    headers, jobs = {"Idempotency-Key": "same"}, []
+    for api in (one, other, one, other):
+        body = {"upload_id": api.upload(SMALL.read_bytes())}
+        jobs.append(api.client.post("/v1/verify", json=body, headers=headers).json()["id"])
+    assert jobs[:2] == jobs[2:]
+    assert jobs[0] != jobs[1]
 
 
 def test_waiting_and_etags(api: Api) -> None:
@@ -75,7 +87,7 @@ def test_waiting_and_etags(api: Api) -> None:
 def test_the_problem_of_a_job_is_the_answer_to_who_waits(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     submit = api.service.jobs.submit
 
-    def submit_and_fail(job: object) -> object:
+    def submit_and_fail(job: object, most: int) -> object:
         made = submit(job)  # type: ignore[arg-type]
         plain = {"type": "urn:mark3dgs:problem:capacity", "title": "t", "status": 422, "detail": "too small"}
         api.service.jobs.result(made.id, State.FAILED, {**plain, "capacity": 8})

@@ -100,13 +100,18 @@ def test_what_a_tenant_stores(api: Api) -> None:
     _asset(api, 1, original_sha256="a" * 64)
     _asset(api, 2, original_sha256="a" * 64)
     tenant = _tenant(api)
+
+    def stored() -> int:
+        with api.service.db.read() as connection:
+            return stored_bytes(connection, tenant)
+
     copies = 2 * (10_000_000 + 1_000_000 + (1 << 20))
-    assert stored_bytes(api.service.db, tenant) == 100_000_000 + copies
+    assert stored() == 100_000_000 + copies
     data = SMALL.read_bytes()
     slot = api.upload(data)
     sha256 = api.client.get(f"/v1/uploads/{slot}").json()["sha256"]
     _asset(api, 3, original_sha256=sha256)
-    assert stored_bytes(api.service.db, tenant) == 100_000_000 + copies * 3 // 2 + len(data)
+    assert stored() == 100_000_000 + copies * 3 // 2 + len(data)
 
 
 def _tenant(api: Api) -> str:
@@ -208,6 +213,28 @@ def test_unannounced_uploads_at_a_time_do_not_pass_the_limit(
     monkeypatch.setattr(store, "room", lambda service, row: 1 << 30)
     statuses = [api.client.put(f"/v1/uploads/{slot}", content=data).status_code for slot in slots]
     assert statuses == [200, 413]
+
+
+def test_limits_hold_for_many_who_ask_at_once(api: Api, limited: Limited) -> None:
+    """Forty see that there is room for one more."""
+    limited(queued_jobs=3, open_uploads=2, tenant_bytes=10**6)
+    body = {"upload_id": api.upload(SMALL.read_bytes())}
+
+    def ask(number: int) -> tuple[int, int]:
+        job = api.client.post("/v1/verify", json=body)
+        return job.status_code, api.client.post("/v1/uploads", json={"size": 10}).status_code
+
+    with ThreadPoolExecutor(20) as pool:
+        jobs, slots = zip(*pool.map(ask, range(40)), strict=True)
+    assert (jobs.count(202), jobs.count(429)) == (3, 37)
+    assert (slots.count(201), slots.count(429)) == (2, 38)
+
+
+def test_storage_holds_for_many_who_ask_at_once(api: Api, limited: Limited) -> None:
+    limited(tenant_bytes=1000)
+    with ThreadPoolExecutor(20) as pool:
+        answers = list(pool.map(lambda _: api.client.post("/v1/uploads", json={"size": 400}).status_code, range(20)))
+    assert (answers.count(201), answers.count(413)) == (2, 18)
 
 
 def test_two_turns_go_to_two_tenants() -> None:

@@ -77,3 +77,32 @@ def test_metrics_are_for_the_operator(service: Any) -> None:
     answer = _api(service, TENANT, ["operator"]).client.get("/metrics")
     assert answer.status_code == 200
     assert "mark3dgs_jobs" in answer.text
+
+
+def test_an_upload_is_its_keys_own(service: Any) -> None:
+    mine, other, admin = (_api(service, TENANT, [scope]) for scope in ("embed", "verify", "admin"))
+    slot = mine.upload(SMALL.read_bytes())
+    path = f"/v1/uploads/{slot}"
+    assert [slot in api.client.get("/v1/uploads").text for api in (mine, other, admin)] == [True, False, True]
+    opened = mine.client.post("/v1/uploads", json={"size": 3}).json()["id"]
+    for path in (f"/v1/uploads/{slot}", f"/v1/uploads/{opened}"):
+        assert (get(mine, path), get(other, path), get(admin, path)) == (200, 404, 200)
+        assert other.client.put(path, content=b"abc").status_code == 404
+        assert other.client.delete(path).status_code == 404
+    assert other.client.post("/v1/verify", json={"upload_id": slot}).status_code == 404
+    assert mine.client.post("/v1/embed", json={"upload_id": slot}).status_code == 202
+    assert admin.client.delete(path).status_code == 204
+
+
+@pytest.mark.parametrize(("profile", "most"), [("balanced", 47), ("strong", 45), ("auto", 47), ("paper", 28.52)])
+def test_a_mark_fainter_than_the_profiles_is_for_those_who_may_see_originals(
+    service: Any, profile: str, most: float
+) -> None:
+    """With `psnr: 90` the marked model is the unmarked one to the last bit of most colors."""
+    for scopes, psnr, status in ((["embed"], most, 202), (["embed"], most + 0.1, 403), (["embed"], 90, 403)):
+        api = _api(service, TENANT, scopes)
+        body = {"upload_id": api.upload(SMALL.read_bytes()), "profile": profile, "psnr": psnr}
+        assert api.client.post("/v1/embed", json=body).status_code == status, psnr
+    keeper = _api(service, TENANT, ["embed", "originals"])
+    body = {"upload_id": keeper.upload(SMALL.read_bytes()), "profile": profile, "psnr": 90}
+    assert keeper.client.post("/v1/embed", json=body).status_code == 202

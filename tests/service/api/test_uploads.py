@@ -5,13 +5,21 @@ from __future__ import annotations
 import hashlib
 import io
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from tests.formats.gltf_files import asset_of, gltf_of, splats
 from tests.service.api.conftest import PLANT, SMALL, Api
+
+
+def flip(path: Path) -> None:
+    """Change a bit."""
+    data = bytearray(path.read_bytes())
+    data[1000] ^= 1
+    path.write_bytes(data)
 
 
 def test_a_whole_file_in_one_request(api: Api) -> None:
@@ -55,6 +63,19 @@ def test_other_bytes_than_announced(api: Api) -> None:
     slot = api.client.post("/v1/uploads", json={"size": 4, "sha256": "0" * 64}).json()["id"]
     answer = api.client.put(f"/v1/uploads/{slot}", content=b"abcd")
     assert (answer.status_code, answer.json()["type"]) == (422, "urn:mark3dgs:problem:digest-mismatch")
+    assert api.client.get(f"/v1/uploads/{slot}").status_code == 404
+
+
+@pytest.mark.parametrize("harm", [lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink, flip])
+def test_a_stored_part_that_is_damaged_is_never_joined(api: Api, harm: Callable[[Path], object]) -> None:
+    data = SMALL.read_bytes()
+    slot = api.client.post("/v1/uploads", json={"size": len(data)}).json()["id"]
+    api.client.put(f"/v1/uploads/{slot}", content=data[:50_000])
+    (part,) = (api.service.blobs.folder or PLANT).glob(f"upload/{slot}/*")
+    harm(part)
+    answer = api.client.put(f"/v1/uploads/{slot}", content=data[50_000:], headers={"Upload-Offset": "50000"})
+    assert answer.status_code == 500
+    assert "damaged at byte 0" in answer.json()["detail"]
     assert api.client.get(f"/v1/uploads/{slot}").status_code == 404
 
 

@@ -16,7 +16,7 @@ from tests.service.claims.cases import KINDS, PICTURES, reply
 from tests.service.claims.conftest import Registry
 
 NEW = {
-    (): ("attested", "derivation", "would_be_claim_if_attested", "issuer", "owner", "searched", "regions"),
+    (): ("attested", "derivation", "would_be_claim_if_attested", "issuer", "owner", "searched", "regions", "drawing"),
     ("threshold",): ("basis",),
     ("evidence", 0): ("change",),
     ("audit",): ("first_registration",),

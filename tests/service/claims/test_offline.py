@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import copy
 import json
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +15,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from engine.credentials.signer import make_trial_signer
 from engine.errors import InputError
 from engine.records.merkle import leaf_hash, node_hash
-from service.claims.document import summary_of
+from engine.watermark.rates import ATTESTATION, DRAWS, OWNER, Attested, Condition, ConditionKind
+from engine.watermark.statistics import log10_false_claim_bound, z_threshold
+from service.claims.arithmetic import arithmetic_fault
+from service.claims.document import document_words, summary_of
 from service.claims.offline import Findings, Status, verify_report
 from service.claims.report import report_html
 from service.cli import verify_report as command
 from service.trust import signing
 from service.trust.canonical import canonical
 from service.trust.commitments import claim_digest
-from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
+from tests.service.claims.cases import ATTESTED, KINDS, PICTURES, VOUCHING, nothing, reply
 from tests.service.claims.conftest import Registry
 
 Document = dict[str, Any]
@@ -53,7 +59,8 @@ def test_whole_claims_hold(registry: Registry, kind: str) -> None:
         assert found.signed_by == registry.jwks["keys"][0]["kid"]
         codes = [check.code for check in found.checks]
         around = {"jws": [], "json": ["document"], "html": ["pictures", "page"]}[form]
-        assert codes == ["signature", "schema", "arithmetic", "meaning", "log", "registration", "history", *around]
+        inside = ["signature", "schema", "arithmetic", "meaning", "log", "registration", "history", "drawing"]
+        assert codes == [*inside, *around]
 
 
 def test_a_claim_about_nothing_holds(registry: Registry) -> None:
@@ -183,6 +190,10 @@ def relog(document: Document) -> None:
     document["audit"]["root"] = leaf_hash(canonical(entry)).hex()
 
 
+REGISTERED = Condition(ConditionKind.REGISTERED_BEFORE, None, ATTESTATION).to_json()
+LATER = "2999-01-01"
+SINCE = Condition(ConditionKind.SUSPECT_SINCE, LATER, OWNER).to_json()
+
 SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
     (edit("verdict", to="not_marked"), "arithmetic"),
     (edit("meets_dishonest_claimant_rate", to=False), "arithmetic"),
@@ -192,6 +203,15 @@ SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
     (edit("threshold", "basis", to="trusted"), "arithmetic"),
     (edit("attested", to=None), "arithmetic"),
     (edit("attested", "drawn", to=False), "arithmetic"),
+    (edit("drawing", to=None), "arithmetic"),
+    (edit("drawing", "token", to=base64.b64encode(b"no stamp").decode()), "drawing"),
+    (edit("drawing", "token", to="?"), "schema"),
+    (edit("drawing", "terms", to="34" * 32), "drawing"),
+    (edit("original", "sha256", to="34" * 32), "drawing"),
+    (edit("audit", "registration", "entry", "payload", "drawn_sha256", to="34" * 32), "drawing"),
+    (edit("conditions", to=[REGISTERED]), "arithmetic"),
+    (edit("conditions", to=[REGISTERED["text"]]), "schema"),
+    (edit("schema_version", to=3), "schema"),
     (edit("would_be_claim_if_attested", to=True), "arithmetic"),
     (edit("derived_fraction", to=1.0), "arithmetic"),
     (edit("derived_but_unmarked", to=True), "arithmetic"),
@@ -223,7 +243,7 @@ SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
     (edit("audit", "registration", "entry", "subject", to="as_2"), "registration"),
     (edit("audit", "registration", "proof", to=["00" * 32]), "registration"),
     (edit("registered_at", to="2020-01-01T00:00:00+00:00"), "registration"),
-    (edit("schema_version", to=4), "schema"),
+    (edit("schema_version", to=5), "schema"),
     (edit("schema_version", to="1"), "schema"),
     (edit("confidence", to=1.5), "schema"),
     (edit("confidence", to="high"), "schema"),
@@ -243,6 +263,70 @@ def test_a_signature_does_not_make_a_contradiction_hold(
     found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
     assert code in failed(found), found.checks
     assert not found.valid
+
+
+def resigned(registry: Registry, document: Document) -> Findings:
+    """Checked after its issuer made log and meaning fit again, but for the registration."""
+    document["meaning"] = document_words(document).meaning
+    relog(document)
+    return verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
+
+
+WORD = replace(ATTESTED, drawn=False)
+
+
+@pytest.mark.parametrize(
+    ("attested", "seen", "stated"), [(None, "", REGISTERED), (WORD, "", REGISTERED), (WORD, LATER, SINCE)]
+)
+def test_conditions_are_checked_against_basis_rate_and_dates(
+    registry: Registry, attested: Attested | None, seen: str, stated: Document
+) -> None:
+    weak = reply(strength=0.12, attested=attested, seen=seen)
+    document = copy.deepcopy(registry.issue(weak).document)
+    assert document["would_be_claim_if_attested"]
+    assert document["conditions"] == [stated]
+    assert verify_report(registry.sign(canonical(document)).encode(), registry.jwks).valid
+    other = SINCE if stated == REGISTERED else REGISTERED
+    forged = [[], [other], [stated, stated], [{**stated, "text": "nobody knows"}], [{**stated, "by": "owner"}]]
+    forged += [[{**stated, "date": "2020-01-01"}], [{**stated, "by": "attestation"}]]
+    dated = [Condition(ConditionKind.SUSPECT_SINCE, date, OWNER).to_json() for date in ("2026-11-03", "2020", "soon")]
+    for conditions in (*forged, *([each] for each in dated)):
+        if conditions != [stated]:
+            found = resigned(registry, {**document, "conditions": conditions})
+            assert "arithmetic" in failed(found), conditions
+
+
+def test_an_attested_date_carries_a_rate_in_earlier_claims_only(registry: Registry) -> None:
+    """Nobody can attest that a suspect did not exist before."""
+    document = copy.deepcopy(registry.issue().document)
+    document["threshold"]["basis"] = "attested"
+    document["attested"]["drawn"], drawing = False, document.pop("drawing")
+    fault = arithmetic_fault({**document, "drawing": None})
+    assert "version 4" in fault
+    assert "time stamp" in fault
+    assert arithmetic_fault({**document, "schema_version": 3}) == ""
+    document["attested"]["drawn"] = True
+    assert arithmetic_fault({**document, "drawing": drawing}) == ""
+
+
+def test_requests_to_who_drew_are_counted(registry: Registry) -> None:
+    """A claim that counts its routes alone has forgotten that its record may be the best of many."""
+    document = copy.deepcopy(registry.issue().document)
+    z, tries = document["evidence"][0]["z"], document["tries"] // DRAWS
+    bound = log10_false_claim_bound(z, tries)
+    document |= {"tries": tries, "log10_false_claim": bound, "confidence": -math.expm1(bound * math.log(10))}
+    document["threshold"]["z"] = z_threshold(1e-9, tries)
+    assert "hypotheses" in arithmetic_fault(document)
+
+
+def test_who_drew_is_believed_by_certificates_alone(registry: Registry) -> None:
+    data = carriers(registry)["jws"]
+    status = {given: verify_report(data, registry.jwks, given).checks for given in ((), tuple(VOUCHING))}
+    found = {given: next(each for each in checks if each.code == "drawing") for given, checks in status.items()}
+    assert [each.status for each in found.values()] == [Status.NOT_CHECKED, Status.PASS]
+    assert "Test stamps" in found[tuple(VOUCHING)].text
+    stranger = make_trial_signer("Stranger", 2)[0].certificate
+    assert failed(verify_report(data, registry.jwks, [stranger])) == ["drawing"]
 
 
 @pytest.mark.parametrize(("claimed", "registered", "faults"), [(1, 0, []), (0, 1, ["registration"])])
@@ -269,7 +353,7 @@ def test_a_signed_something_is_no_claim(registry: Registry, payload: bytes) -> N
 
 
 def test_a_later_version_is_not_called_a_forgery(registry: Registry) -> None:
-    document = registry.issue().document | {"schema_version": 4, "more": True}
+    document = registry.issue().document | {"schema_version": 5, "more": True}
     found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
     assert "a later version of this program" in found.checks[-1].text
 

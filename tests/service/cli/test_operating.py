@@ -189,3 +189,18 @@ def test_serve_refuses_a_signer_who_can_sign_nothing(mark3dgs: Mark3dgs, tmp_pat
     assert (code, "go together" in err) == (2, True)
     code, _, err = mark3dgs("serve", "--port", "0", CREDENTIALS_CERTIFICATES=chain, CREDENTIALS_KEY=chain)
     assert (code, "cannot read" in err, "chain.pem" in err) == (2, True, True)
+
+
+@pytest.mark.parametrize("command", [["serve", "--workers", "0", "--port", "0"], ["worker"], ["apikey", "list"]])
+@pytest.mark.parametrize("start", [0, 5000])
+def test_a_damaged_database_is_told_plainly(mark3dgs: Mark3dgs, data: Path, start: int, command: list[str]) -> None:
+    """Its header, or its pages."""
+    for ending in ("-wal", "-shm"):
+        (data / f"mark3dgs.sqlite{ending}").unlink(missing_ok=True)
+    with (data / "mark3dgs.sqlite").open("r+b") as file:
+        file.seek(start)
+        file.write(b"\xaa" * (100_000 if start else 100))
+    code, _, said = mark3dgs(*command)
+    assert code != 0
+    assert "the database is damaged" in said
+    assert "Traceback" not in said

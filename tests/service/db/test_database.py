@@ -11,7 +11,7 @@ from alembic.migration import MigrationContext
 
 from service.clock import now
 from service.db import Database, holding, metadata
-from service.db.schema import claims, usage, workers
+from service.db.schema import claims, uploads, usage, workers
 from service.problems import Problem
 from service.settings import Settings
 
@@ -46,6 +46,10 @@ def first_version(database: Database) -> None:
         columns = ", ".join([*old, "jws", "pictures", "created_at"])
         values = ", ".join([*(f":{name}" for name in old), "'a.b.c'", "'{}'", "'2026'"])
         connection.execute(sa.text(f"INSERT INTO claims ({columns}) VALUES ({values})"), old)
+        for state in ("open", "complete"):
+            row = f"'up_{state}', 't', '2026', 'a.ply', '[[0, 5], [5, 5]]', '{state}', 10"
+            columns = "id, tenant, created_at, name, parts, state, received"
+            connection.execute(sa.text(f"INSERT INTO uploads ({columns}) VALUES ({row})"))
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgres"])
@@ -60,6 +64,7 @@ def test_an_earlier_database_becomes_what_the_schema_says(
     old.migrate()
     with old.engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+        assert connection.execute(sa.select(uploads.c.id, uploads.c.parts)).all() == [("up_complete", "[]")]
         row = connection.execute(sa.select(claims)).one()
     assert (row.verdict, row.names, row.jws) == ("not_marked", "", "a.b.c")
     old.close()

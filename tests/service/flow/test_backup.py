@@ -104,7 +104,7 @@ def test_a_marked_model_is_claimed(alice: Client, before: Before) -> None:
     """The owner keys are there, and what the log says of the registration."""
     found = alice.verify(before.model)
     assert (found.verdict, found.asset_id) == ("marked", before.marked.asset_id)
-    assert alice.claim(found.claim_id).document["attested"]["drawn"]
+    assert alice.claim(found.claim_id).document["attested"]["at"] == alice.asset(found.asset_id).registered_at
 
 
 def test_the_job_at_work_goes_on(alice: Client, before: Before) -> None:

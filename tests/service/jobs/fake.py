@@ -19,7 +19,7 @@ class FakeJobs:
         self._jobs: dict[str, Job] = {}
         self._seen: dict[str, float] = {}
 
-    def submit(self, job: Job) -> Job:
+    def submit(self, job: Job, most: int | None = None) -> Job:
         fresh = replace(job, state=State.QUEUED, created_at=job.created_at or now())
         return self._jobs.setdefault(job.id, fresh)
 

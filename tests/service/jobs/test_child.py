@@ -83,6 +83,28 @@ def test_a_large_request(children: Children, tmp_path: Path) -> None:
     assert children.run("echo", request, tmp_path)["request"] == request
 
 
+def test_a_task_may_ask_who_runs_it(children: Children, tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        return question.upper()
+
+    request = {"questions": ["one", "two" * 50_000]}
+    reply = children.run("ask", request, tmp_path, answer=answer)
+    assert reply == {"answers": ["ONE", "TWO" * 50_000]}
+    assert asked == request["questions"]
+    with pytest.raises(Problem, match="nobody here can answer"):
+        children.run("ask", request, tmp_path)
+
+    def refuse(question: str) -> str:
+        raise Problem("no-time-stamp", "closed today")
+
+    with pytest.raises(Problem, match="closed today"):
+        children.run("ask", request, tmp_path, answer=refuse)
+    assert children.run("echo", {"n": 1}, tmp_path)["request"] == {"n": 1}, "goes on with the next"
+
+
 def test_stray_prints_do_not_break_the_protocol(
     children: Children, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

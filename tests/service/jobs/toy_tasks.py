@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from service.work.process import Progress, serve
+from service.work.process import Parent, Progress, serve
 
 Request = Mapping[str, Any]
 
@@ -26,6 +26,10 @@ def chat(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     os.system("echo a line of a library in C")
     sys.stdout.write('{"reply": {"said": "the wrong thing"}}\n')
     return {"said": "the right thing"}
+
+
+def ask(request: Request, folder: Path, progress: Parent) -> dict[str, Any]:
+    return {"answers": [progress.ask(question) for question in request["questions"]]}
 
 
 def nap(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -82,7 +86,7 @@ def fail(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     raise getattr(__builtins__, name, RuntimeError)(*kwargs.pop("args", []))
 
 
-TASKS = {f.__name__: f for f in (allocate, chat, die, die_once, echo, environment, fail, leave, nap, spin, write)}
+TASKS = {f.__name__: f for f in (allocate, ask, chat, die, die_once, echo, environment, fail, leave, nap, spin, write)}
 
 
 def until_wanted(wanted: Callable[[], bool]) -> None:

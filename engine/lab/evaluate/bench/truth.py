@@ -6,7 +6,7 @@ Extraction is informed: every suspect is read against the owner's records.
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,17 @@ from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.trace.tracing import trace_model
 from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
+from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
 from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.collusion import RULES, in_order_of
+from engine.lab.sim.adversaries.laundering import shake
 from engine.lab.sim.attack import Strength
 from engine.lab.sim.attacks import model_attack
+from engine.model import GaussianModel
+from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.records.header import chip_context
 from engine.watermark.keys import CHIPS, COPY, OwnerKey, signs
@@ -35,6 +39,8 @@ THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 COLLUDERS = (2, 3, 5, 10)
 FORMS = ("ply", "splat", "spz", "sog", "compressed.ply")  # in which the buyers get their copies
 PUSHES = (5.5, 10.0, 16.0)  # steps, see the attack `push`
+SHAKES = (1.0, 2.0, 4.0)  # sizes, see `shake`
+VIEWS, SIDE = 4, 640  # in which a result is compared with the original
 BUYER, INNOCENT = "buyer", "innocent"
 
 
@@ -113,41 +119,67 @@ def forge(scene: MarkedScene, config: EmbedConfig) -> Row:
 
 
 def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
-    """Copies of one scene for several buyers, put together by every rule of `collude`, traced among innocent buyers."""
+    """Copies of one scene for several buyers, put together by every rule of `collude`, perhaps shaken afterwards.
+
+    Each result is read for the owner's claim and traced among the buyers and some of the `innocents`, which are dealt
+    among the results. `psnr_db` is the least of some views against the original.
+    """
     names = [f"{BUYER} {number}" for number in range(max(COLLUDERS))]
     copies = mark_copies(scene, named_profile("fast", landmark_views=0), names, bits=BITS, seed=seed)
-    bystanders = list(innocent_copies(copies[0].opened, bench_key(seed), innocents))
+    opened = [copy.opened for copy in copies]
+    cameras = make_rig(copies[0].original, VIEWS, SIDE, SIDE)
+    truth = [render(copies[0].original, camera) for camera in cameras]
+    cells = list(product(FORMS, COLLUDERS, _ways()))
+    strangers = innocent_copies(opened[0], bench_key(seed), innocents)
+    share = -(-innocents // len(cells))
     rows = []
-    ways: list[tuple[str, str, Strength]] = [(rule, "collude", rule) for rule in RULES]
-    ways += [("algebra", "algebra", "mean")]
-    ways += [(f"push {steps:g}", "push", steps) for steps in PUSHES]
-    for form, count in product(FORMS, COLLUDERS):
-        convert = model_attack("convert")
-        given = [copy.marked if form == "ply" else convert.apply(copy.marked, form) for copy in copies[:count]]
-        given = [given[0], *(in_order_of(given[0], other) for other in given[1:])]
-        for rule, attack, strength in ways:
-            rng = np.random.default_rng((seed, count))
-            suspect = model_attack(attack).apply(given[0], strength, rng=rng, others=given[1:])
-            records = [*(copy.opened for copy in copies[:count]), *bystanders]
-            traced = trace_model(suspect, records, VerifyConfig(route="model"))
-            guilty, others = (
-                [finding for finding in traced.findings if finding.copy.startswith(kind)] for kind in (BUYER, INNOCENT)
-            )
-            row: dict[str, Any] = {
-                "scene": copies[0].name,
-                "rule": rule,
-                "format": form,
-                "colluders": count,
-                "named": sum(finding.named for finding in guilty),
-                "z_least": min(finding.z for finding in guilty),
-                "innocents": len(others),
-                "innocents_named": sum(finding.named for finding in others),
-                "innocent_z_largest": max((finding.z for finding in others), default=0.0),
-                "z_threshold": traced.z_threshold,
-                "seconds": traced.seconds,
-            }
-            rows.append(row)
+    for form, count, (way, attack, strength, sigma) in cells:
+        rng = np.random.default_rng((seed, count))
+        given = _as_delivered([copy.marked for copy in copies[:count]], form)
+        suspect = model_attack(attack).apply(given[0], strength, rng=rng, others=given[1:])
+        suspect = shake(suspect, sigma, rng) if sigma else suspect
+        claim = verify_model(suspect, opened[0], VerifyConfig(route="model")).claim
+        records = [*opened[:count], *islice(strangers, share)]
+        traced = trace_model(suspect, records, VerifyConfig(route="model"))
+        guilty, others = (
+            [finding for finding in traced.findings if finding.copy.startswith(kind)] for kind in (BUYER, INNOCENT)
+        )
+        row: dict[str, Any] = {
+            "scene": copies[0].name,
+            "way": way,
+            "format": form,
+            "colluders": count,
+            "psnr_db": min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, cameras, strict=True)),
+            "z": claim.z,
+            "verdict": claim.verdict.value,
+            "named": sum(finding.named for finding in guilty),
+            "z_least": min(finding.z for finding in guilty),
+            "z_most": max(finding.z for finding in guilty),
+            "innocents": len(others),
+            "innocents_named": sum(finding.named for finding in others),
+            "innocent_z_largest": max((finding.z for finding in others), default=0.0),
+            "z_threshold": traced.z_threshold,
+        }
+        rows.append(row)
     return rows
+
+
+def _ways() -> Iterator[tuple[str, str, Strength, float]]:
+    """Name; attack that takes the other copies, and its strength; how far centers are shaken then, in sizes."""
+    for rule in RULES:
+        yield rule, "collude", rule, 0.0
+    yield "algebra", "algebra", "mean", 0.0
+    for steps in PUSHES:
+        yield f"push {steps:g}", "push", steps, 0.0
+    for sigma in SHAKES:
+        yield f"mean, shaken by {sigma:g}", "collude", "mean", sigma
+
+
+def _as_delivered(copies: Sequence[GaussianModel], form: str) -> list[GaussianModel]:
+    """Copies as buyers get them in a format, in the order of the first."""
+    convert = model_attack("convert")
+    given = list(copies) if form == "ply" else [convert.apply(copy, form) for copy in copies]
+    return [given[0], *(in_order_of(given[0], other) for other in given[1:])]
 
 
 def innocent_copies(record: OpenedRecord, key: OwnerKey, count: int) -> Iterator[OpenedRecord]:
