@@ -99,7 +99,8 @@ def _commit(service: Service, run: Run) -> Ending:
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-    draws = draws_for(service.settings)
+            commit_asset(connection, row, made.get("drawn", ""), row["registered_at"])
+    watch(service, job, row["id"])
     report = made["report"]
     result = {
         "asset_id": row["id"],

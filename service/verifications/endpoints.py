@@ -112,7 +112,7 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
-            spend_subject(core, tenant, body.asset_id)
+            spend_subject(core, caller.tenant, body.asset_id)
         return {**asked, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
     return submit(core, caller, "verify", retry_key, {"verify": asked}, make)
