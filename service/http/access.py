@@ -39,7 +39,7 @@ def identify(service: Service, token: str | None) -> Caller:
 
 
 def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> Caller:
-    return identify(core, credentials and credentials.credentials)
+    return identify(core, None if credentials is None else credentials.credentials)
 
 
 def may(*scopes: str) -> Callable[..., Caller]:

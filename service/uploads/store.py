@@ -157,7 +157,7 @@ def _again(service: Service, row: Any) -> Any:
 
 def _unchanged(row: Any) -> sa.ColumnElement[bool]:
     """The compare of compare and set: the slot is as it was read."""
-    return (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
+    return sa.and_(uploads.c.id == row.id, uploads.c.received == row.received, uploads.c.state == "open")
 
 
 def _refuse(service: Service, row: Any) -> NoReturn:
