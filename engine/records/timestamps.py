@@ -86,7 +86,7 @@ def check_stamp(token: bytes, data: bytes, roots: Sequence[x509.Certificate]) ->
 def drawn_from(token: bytes) -> str:
     """64 hexadecimal digits that a time stamp draws: they follow from its signature, and from nothing else in it.
 
-    Whoever holds a stamp can change what the signature does not cover: unsigned attributes, certificates, revocation
+    The holder of a stamp can change what the signature does not cover: unsigned attributes, certificates, revocation
     lists, algorithm names, the reply's status. None of it enters, not even to tell the kind of signature. Where (r, s)
     is a signature by ECDSA, (r, n - s) is one, too, which anybody can make: r alone enters. A verifier takes one
     spelling of a number, and of an RSA signature there is one. So other digits take another request to the service.

@@ -40,7 +40,7 @@ class ConditionKind(StrEnum):
 
 
 OWNER, ATTESTATION = "owner", "attestation"
-"""Who vouches for a condition: the owner, by his word, or a third party's attestation, which is yet to be given."""
+"""Who vouches for a condition: the owner's word, or an attestation that does not exist yet."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,8 @@ class Condition:
     def text(self) -> str:
         """In words."""
         if self.kind is ConditionKind.REGISTERED_BEFORE:
-            return "a third party attested that the registration is older than the suspect"
-        whose = "which is the owner's word" if self.by == OWNER else "which is attested"
-        return f"the suspect did not exist before {self.date}, {whose}"
+            return "the registration is older than the suspect, which nobody has attested"
+        return f"the suspect did not exist before {self.date}, which is the owner's word"
 
     def to_json(self) -> Json:
         """Plain values, with the words."""
@@ -94,8 +93,7 @@ class AppliedRate:
 
     rate: float
     basis: str  # a key of BASES
-    # The rate that would do if the registration were attested and older than the suspect; None where the suspect is
-    # known to be older
+    # The rate that would do if the registration is older than the suspect; None where the suspect is known to be older
     if_attested: float | None
     conditions: tuple[Condition, ...] = ()  # under which a bound between the two rates would be a claim
     tries: int = 1  # records that may have been tried out, each a hypothesis
@@ -153,5 +151,5 @@ def moment(text: str) -> datetime:
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 
 
-MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "whoever measures", drawn=True, tries=1)
+MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "the measurement", drawn=True, tries=1)
 """For measurements, whose records are older than their suspects."""

@@ -175,7 +175,7 @@ class Condition(_Part):
     kind: Literal["registered_before", "suspect_since"]
     date: str | None = Field(description="Since when the suspect is known, ISO 8601; null of the other kind.")
     by: Literal["owner", "attestation"] = Field(
-        description="Who vouches for it: the owner, by a statement, or a third party, which is yet to be given."
+        description="Who vouches for it: the owner's word, or an attestation that does not exist yet."
     )
     text: str = Field(description="The same in words.")
 
@@ -266,7 +266,7 @@ class ClaimDocument(_Part):
     log10_false_claim: float = Field(le=0.0, description="log10 of the false-claim bound, all tries counted.")
     meets_dishonest_claimant_rate: bool = Field(description="Whether the bound is at most 2^-128 too.")
     would_be_claim_if_attested: bool = Field(
-        False, description="The bound would do if the registration were attested and older than the suspect."
+        False, description="The bound would do if the conditions held; no attested date makes it a claim."
     )
     conditions: list[Condition | str] = Field(
         [], description="Under which it would then be a claim; before version 4, sentences."

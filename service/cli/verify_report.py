@@ -59,7 +59,9 @@ def verify_report(
         for fact in words.facts:
             console.say(f"  {fact.label:<16}{fact.text}")
     console.say()
-    console.say("VALID" if found.valid else "NOT VALID")
+    unchecked = [check.code for check in found.checks if check.status == "not_checked"]
+    so_far = f", as far as it was checked (not: {', '.join(unchecked)})" if unchecked else ""
+    console.say(f"VALID{so_far}" if found.valid else "NOT VALID")
     console.emit({"file": str(file), **found.to_json()})
     return OK if found.valid else NOT_VALID
 

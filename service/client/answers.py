@@ -172,7 +172,7 @@ class Condition:
 
     kind: str  # registered_before or suspect_since; empty in claims before version 4, which have the text alone
     date: str | None  # since when the suspect is known
-    by: str  # who vouches for it: owner, or attestation, which is yet to be given
+    by: str  # who vouches for it: owner, or attestation (which does not exist yet)
     text: str
 
 

@@ -24,7 +24,7 @@ Progress = Callable[[str, float], None]
 
 
 class Parent(Protocol):
-    """Who runs the task: is told how far it is, and can be asked."""
+    """The process that started the task: it takes progress and answers questions."""
 
     def __call__(self, stage: str, fraction: float) -> None:
         """Progress."""

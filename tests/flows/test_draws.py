@@ -202,7 +202,7 @@ def test_copies_of_what_nobody_or_a_service_by_itself_drew_for_stay_so(
 def test_every_plan_that_is_tried_is_a_request_of_its_own(
     small_plant: GaussianModel, drawer: Drawer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where chips show too much the plan is made weaker: the stamp of the one before says nothing of it."""
+    """A weaker plan, made because the chips were too visible, needs a time stamp of its own."""
     before, looks = len(drawer.requests), iter([Fidelity(30.0, 0.5)])
     measure: Callable[..., Fidelity] = marking.measure
     monkeypatch.setattr(marking, "measure", lambda *given: next(looks, None) or measure(*given))

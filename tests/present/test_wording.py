@@ -133,7 +133,7 @@ def test_an_answer_that_hangs_on_the_owners_word_says_so_first() -> None:
         assert said.startswith("This would be a claim at 1 in 10^9 if the suspect did not exist before 2026-11-03")
         assert "the owner's word" in said
     earlier = {name: value for name, value in open_one.items() if name != "conditions"}
-    assert "if a third party attested" in words_of(earlier, PLAIN).finding
+    assert "older than the suspect, which nobody has attested" in words_of(earlier, PLAIN).finding
 
 
 def test_a_weak_claim_says_why_it_counts() -> None:

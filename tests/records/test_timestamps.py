@@ -214,7 +214,7 @@ def test_the_other_signature_that_anybody_can_make_draws_the_same(authority: Aut
 
 
 def test_what_nobody_signed_draws_nothing(authority: Authority, token: bytes) -> None:
-    """Unsigned attributes, and certificates in any number, are put in by whoever holds the stamp."""
+    """The holder of a stamp can add unsigned attributes, and certificates in any number."""
     attribute = der(0x30, bytes.fromhex("06032a0304") + der(0x31, der(0x04, b"mine")))
     more = with_signer(token, lambda signer: [*signer, (0xA1, attribute)])
     assert more != token

@@ -40,8 +40,8 @@ export class Progress {
     const uploads = [];
     let before = 0;
     for (const file of files) {
-      const tell = (sent, waiting) => {
-        const words = waiting ? LOST : sent < file.size ? "Uploading" : "Reading the file";
+      const tell = (sent, waiting, digesting = false) => {
+        const words = digesting ? "Computing the digest" : waiting ? LOST : sent < file.size ? "Uploading" : "Reading the file";
         this.#show(words, words === "Reading the file" ? null : (before + sent) / total);
         this.side.textContent = `${bytes(before + sent)} of ${bytes(total)}`;
       };

@@ -1,5 +1,6 @@
-// SHA-256 (FIPS 180-4) of a file, a slice at a time. The browser's own takes all bytes at once, and none at all of a
-// page that came over plain HTTP from another machine.
+// SHA-256 (FIPS 180-4) of a file. The browser's own is six to ten times as fast, but takes all bytes at once, and none at all
+// of a page that came over plain HTTP from another machine: then, and of large files, a slice at a time.
+const AT_ONCE = 2 ** 28;
 const SLICE = 2 ** 22; // a multiple of the block of 64 bytes
 const PRIMES = [...Array(312).keys()].filter((n) => n > 1 && ![...Array(n).keys()].some((d) => d > 1 && n % d === 0));
 const fraction = (x) => ((x % 1) * 2 ** 32) | 0;
@@ -9,12 +10,23 @@ const turned = (x, n) => (x >>> n) | (x << (32 - n));
 /**
  * @param {Blob} file
  * @param {AbortSignal} signal
+ * @param {(read: number) => void} tell  bytes so far
  * @returns {Promise<string>} 64 hexadecimal digits
  */
-export async function sha256(file, signal) {
+export async function sha256(file, signal, tell) {
+  if (!crypto.subtle || file.size > AT_ONCE) return bySlices(file, signal, tell);
+  tell(0);
+  const digest = await crypto.subtle.digest("SHA-256", await file.arrayBuffer());
+  signal.throwIfAborted();
+  return hex(new DataView(digest));
+}
+
+/** The same, without the browser's own. */
+export async function bySlices(file, signal, tell) {
   const state = Int32Array.from(PRIMES.slice(0, 8), (prime) => fraction(Math.sqrt(prime)));
   for (let start = 0; start + 64 <= file.size; start += SLICE) {
     signal.throwIfAborted();
+    tell(start);
     const end = Math.min(start + SLICE, file.size);
     const bytes = await file.slice(start, end - (end % 64)).arrayBuffer();
     absorb(state, new DataView(bytes));
@@ -25,8 +37,11 @@ export async function sha256(file, signal) {
   last[rest.length] = 0x80;
   new DataView(last.buffer).setBigUint64(last.length - 8, 8n * BigInt(file.size));
   absorb(state, new DataView(last.buffer));
-  return [...state].map((word) => (word >>> 0).toString(16).padStart(8, "0")).join("");
+  state.forEach((word, at) => last.set([word >>> 24, word >>> 16, word >>> 8, word], 4 * at));
+  return hex(new DataView(last.buffer, 0, 32));
 }
+
+const hex = (view) => [0, 4, 8, 12, 16, 20, 24, 28].map((at) => view.getUint32(at).toString(16).padStart(8, "0")).join("");
 
 function absorb(state, view) {
   const w = new Int32Array(64);

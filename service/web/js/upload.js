@@ -9,12 +9,13 @@ const PATIENCE = 8; // attempts without a byte of progress, about two minutes
  * Bring a file to the service.
  *
  * @param {File} file
- * @param {(sent: number, waiting: boolean) => void} tell  progress in bytes; waiting: the connection is down
+ * @param {(sent: number, waiting: boolean, digesting?: boolean) => void} tell  progress in bytes; waiting: the connection is
+ *   down; digesting: nothing is sent yet
  * @param {AbortSignal} signal
  * @returns {Promise<object>} the upload: id, sha256, info
  */
 export async function upload(file, tell, signal) {
-  const announced = { name: file.name.slice(-200), size: file.size, sha256: await sha256(file, signal) };
+  const announced = { name: file.name.slice(-200), size: file.size, sha256: await sha256(file, signal, (read) => tell(read, false, true)) };
   let slot = await postJson("/v1/uploads", announced, { signal });
   const path = `/v1/uploads/${slot.id}`;
   let offset = slot.offset;

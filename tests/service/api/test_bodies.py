@@ -144,3 +144,41 @@ def test_many_who_drip_without_a_key(tmp_path: Path) -> None:
         assert len(served.log()) < 2000
     finally:
         served.stop()
+
+
+def test_what_still_comes_is_read_before_the_line_is_closed(api: Api) -> None:
+    """Closed with bytes unread, a connection is reset, and its client may never see why."""
+    read = []
+
+    async def pieces(number: int) -> Message:
+        read.append(number)
+        return {"type": "http.request", "body": b"x" * 10, "more_body": number < 3}
+
+    status, headers, _, _ = ask(api, "PUT", "/v1/uploads/x", "application/octet-stream", pieces, key=False)
+    assert (status, headers["connection"]) == (401, "close")
+    assert read == [0, 1, 2, 3]
+
+
+def test_a_file_of_unknown_length_that_breaks_off_is_no_file(api: Api) -> None:
+    slot = api.client.post("/v1/uploads", json={}).json()["id"]
+
+    async def leave(number: int) -> Message:
+        body: Message = {"type": "http.request", "body": b"x" * 10, "more_body": True}
+        return body if number == 0 else {"type": "http.disconnect"}
+
+    said = ask(api, "PUT", f"/v1/uploads/{slot}", "application/octet-stream", leave)[2]
+    assert (said.get("state"), said.get("offset")) == ("open", 0)
+
+
+def test_more_connections_than_wanted_are_refused(tmp_path: Path) -> None:
+    served = serving.start(tmp_path, workers=0, CONNECTIONS="10")
+    host, port = served.address.removeprefix("http://").split(":")
+    try:
+        lines = [socket.create_connection((host, int(port)), timeout=20) for _ in range(12)]
+        lines[-1].sendall(b"GET /healthz HTTP/1.1\r\nHost: t\r\n\r\n")
+        assert lines[-1].recv(100).startswith(b"HTTP/1.1 503 ")
+        for line in lines:
+            line.close()
+        serving.wait_until_up(served.process, served.address, tmp_path / "log.txt")
+    finally:
+        served.stop()

@@ -135,3 +135,17 @@ def test_an_upload_of_cameras_and_of_a_picture(api: Api) -> None:
     assert api.client.post("/v1/embed", json=embed).json()["type"].endswith("unreadable-model")
     slot = api.client.post("/v1/uploads", json={}).json()["id"]
     assert api.client.put(f"/v1/uploads/{slot}", content=b"[{}]").json()["type"].endswith("unreadable-cameras")
+
+
+@pytest.mark.parametrize("damage", [flip, Path.unlink])
+def test_a_stored_part_that_is_damaged_is_noticed(api: Api, damage: Callable[[Path], None]) -> None:
+    """What was stored between two requests is held against its digest, also where no digest was announced."""
+    data = SMALL.read_bytes()
+    slot = api.client.post("/v1/uploads", json={"size": len(data)}).json()["id"]
+    api.client.put(f"/v1/uploads/{slot}", content=data[:9000])
+    (part,) = (api.service.blobs.folder or PLANT).glob(f"upload/{slot}/*")
+    damage(part)
+    answer = api.client.put(f"/v1/uploads/{slot}", content=data[9000:], headers={"Upload-Offset": "9000"})
+    assert answer.status_code == 500
+    assert "damaged" in answer.json()["detail"]
+    assert api.client.get(f"/v1/uploads/{slot}").status_code == 404, "it was dropped"

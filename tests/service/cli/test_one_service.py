@@ -11,7 +11,10 @@ from pathlib import Path
 import pytest
 
 from engine.errors import InputError
+from service.core import Service
 from service.folder_locks import crew_names, hold
+from service.jobs import runner
+from service.settings import Settings
 from tests.service import serving
 from tests.service.cli.conftest import Mark3dgs
 
@@ -78,3 +81,14 @@ def test_workers_of_two_folders_have_different_names(tmp_path: Path) -> None:
     first, second = (crew_names(tmp_path / name, 2) for name in ("a", "b"))
     assert len({*first, *second}) == 4
     assert crew_names(tmp_path / "a", 2) == first
+
+
+def test_two_workers_never_have_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each would take the other's jobs for its own, and delete its scratch."""
+    monkeypatch.setattr(runner, "PREDECESSOR_SECONDS", 0.1)
+    service = Service.open(Settings(data_dir=tmp_path))
+    first = runner.Worker(service.settings, {}, service.jobs, name="a")
+    with pytest.raises(InputError, match="'worker-a' is already at work"):
+        runner.Worker(service.settings, {}, service.jobs, name="a")
+    assert runner.Worker(service.settings, {}, service.jobs, name="b").name != first.name
+    service.close()
