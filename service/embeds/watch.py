@@ -23,7 +23,8 @@ NOBODY = ""
 
 def watch(service: Service, job: Job, asset_id: str) -> None:
     """Have what an embed job marked looked at; twice is once."""
-    asked = {name: job.request[name] for name in ("model", "spz_frame")} | {"tenant": job.tenant, "asset": asset_id}
+    asked = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
+    asked["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
     service.jobs.submit(Job(f"watch_{asset_id}", NOBODY, "", "watch", State.QUEUED, asked))
 
 
