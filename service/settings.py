@@ -58,6 +58,12 @@ class Settings(BaseSettings):
         gt=0,
         description="Embed jobs a day of a tenant's uploads that are alike; the same file again does not count.",
     )
+    watch_minutes: float = Field(
+        60.0,
+        ge=0,
+        description="Marks of other owners are looked for in an upload at a random moment within so long after it was"
+        " marked: what its uploader sees of the queue tells nothing of them.",
+    )
     queued_jobs: int = Field(200, gt=0, description="Jobs of a tenant that may wait or run at a time.")
     conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")
     open_uploads: int = Field(100, gt=0, description="Uploads of a tenant that may be under way at a time.")

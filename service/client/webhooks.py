@@ -43,5 +43,6 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
     if abs(time.time() - int(found[1])) > tolerance:
         raise ServiceError("untrusted", f"the message was sent {time.time() - int(found[1]):.0f} s ago")
     plain = json.loads(body)
-    parts = {name: read(kind, plain[name]) for name, kind in (("job", Job), ("notice", Notice)) if name in plain}
-    return Event(plain["event"], plain["at"], **parts)
+    job = read(Job, plain["job"]) if "job" in plain else None
+    notice = read(Notice, plain["notice"]) if "notice" in plain else None
+    return Event(plain["event"], plain["at"], job, notice)

@@ -1,16 +1,18 @@
 """Watching for owners: after an upload was marked, a job of the service's own looks for other owners' marks in it.
 
 The uploader's job has ended by then, so nothing that its answer holds, and no time that it took, depends on what is
-found. Nothing is written into the audit log, whose size every claim shows.
+found. Nor does how long the uploader's next job waits for a worker: when this one runs is drawn. Nothing is written
+into the audit log, whose size every claim shows.
 """
 
 import json
 from itertools import groupby
+from random import SystemRandom
 from typing import Any
 
 import sqlalchemy as sa
 
-from service.clock import now
+from service.clock import ago, now
 from service.core import Service
 from service.db.schema import FOUND, assets, deliveries, notices, webhooks
 from service.embeds.screening import carried, choose, resembling
@@ -25,7 +27,8 @@ def watch(service: Service, job: Job, asset_id: str) -> None:
     """Have what an embed job marked looked at; twice is once."""
     asked = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
     asked["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
-    service.jobs.submit(Job(f"watch_{asset_id}", NOBODY, "", "watch", State.QUEUED, asked))
+    hours = SystemRandom().uniform(0.0, service.settings.watch_minutes / 60.0)
+    service.jobs.submit(Job(f"watch_{asset_id}", NOBODY, "", "watch", State.QUEUED, asked, created_at=ago(-hours)))
 
 
 def watch_flow(service: Service) -> Flow:

@@ -94,12 +94,14 @@ def _message(service: Service, row: Any) -> tuple[str, bytes, dict[str, str]] | 
         webhook = connection.execute(sa.select(webhooks).where(webhooks.c.id == row.webhook)).first()
         job = connection.execute(sa.select(jobs).where(jobs.c.id == row.job)).first()
         notice = connection.execute(sa.select(notices).where(notices.c.id == row.job)).first()
-    if webhook is None or (job is None and notice is None):
+    if webhook is None:
         return None
     if job is not None:
         told = {"event": ENDED, "at": job.finished_at, "job": view(job_of(job)).model_dump()}
-    else:
+    elif notice is not None:
         told = {"event": FOUND, "at": notice.created_at, "notice": notice_of(notice).model_dump()}
+    else:
+        return None
     body = json.dumps(told, ensure_ascii=False).encode()
     signed = signature(secret_of(service.master, webhook), int(time.time()), body)
     agent = f"mark3dgs/{version('mark3dgs')}"

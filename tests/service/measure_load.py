@@ -102,7 +102,7 @@ def fairness(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
 
 def copies(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
     """The oldest of many copies of one asset: its model and a picture of it among all; a stranger's embed of it."""
-    served = serving.start(folder, workers=1)
+    served = serving.start(folder, workers=1, WATCH_MINUTES="0")
     try:
         owner, stranger = (Client(served.address, token_of(served, name)) for name in ("owner", "stranger"))
         made = [owner.embed(PLANT, profile="fast", copy_name=f"c{number}").asset_id for number in range(args.copies)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -193,7 +194,21 @@ def test_forty_questions_tell_an_uploader_nothing(tmp_path: Path) -> None:
     assert seen[True] == seen[False]
 
 
-def _question(house: House, number: int) -> tuple[str, list[str], list[Any], int]:
+def test_when_it_is_looked_at_is_drawn(tmp_path: Path) -> None:
+    """A job that always came right after would keep the uploader's next one waiting for as long as it takes."""
+    house = House(tmp_path, subject_embeds_per_day=100)
+    for number in range(20):
+        _question(house, number, look=False)
+    waits = [
+        (datetime.fromisoformat(job.created_at) - datetime.now(UTC)).total_seconds() / 60
+        for job in house.service.jobs.list(NOBODY, 100)
+    ]
+    house.service.close()
+    assert 30 < max(waits) <= house.service.settings.watch_minutes
+    assert -1 < min(waits) < 30
+
+
+def _question(house: House, number: int, *, look: bool = True) -> tuple[str, list[str], list[Any], int]:
     """What an uploader sees of one: the job, what was done for it, all assets, and how long the log is by then."""
     model = clusters(1, 300)
     model = replace(model, opacity_logits=model.opacity_logits + np.float32(1e-3 * number))
@@ -203,7 +218,8 @@ def _question(house: House, number: int) -> tuple[str, list[str], list[Any], int
     run = house.ask(house.service.blobs.put(upload), name=f"job_{number:02}")
     tasks = [task for task, _ in house.asked]
     assert all("theirs" not in request for _, request in house.asked), "nothing that the answer could follow from"
-    house.watch()
+    if look:
+        house.watch()
     ending = run.results["commit"]
     shown = view(replace(run.job, state=ending["state"], result=ending["result"])).model_dump_json()
     columns = [column for column in assets.c if column.name not in ("registered_at", "owner_key")]

@@ -28,7 +28,9 @@ SCENE = encode_model(read_model(ROOT / "tests" / "data" / "train_1000.ply").mode
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests here; the budget of near duplicates is small, and one test spends it."""
-    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4")
+    made = serving.start(
+        tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4", WATCH_MINUTES="0"
+    )
     yield made
     made.stop()
 

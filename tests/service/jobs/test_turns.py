@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from service.clock import ago, now
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from tests.service.jobs.conftest import Workshop
@@ -76,6 +77,21 @@ def test_places_in_the_queue(jobs: DurableJobs) -> None:
     everything = [job for tenant in "abc" for job in jobs.list(tenant)]
     assert jobs.positions(everything) == {"b1": 1, "c0": 2, "a1": 3, "a2": 4}, "who has one at work comes later"
     assert jobs.positions([job for job in everything if job.id == "a2"]) == {"a2": 4}, "others' jobs count"
+
+
+def test_what_is_not_due_waits_and_keeps_nobody_waiting(shop: Workshop) -> None:
+    """Due in order, whatever was submitted first; until then it has no place before others."""
+    request = {"marks": str(shop.marks), "gate": str(shop.gate)}
+    for job_id, seconds in (("never", 3600.0), ("second", 8.0), ("first", 4.0), ("third", 9.0)):
+        shop.jobs.submit(Job(job_id, "own", "", "three", State.QUEUED, request, created_at=ago(-seconds / 3600)))
+    submit(shop, "t", "now")
+    assert shop.jobs.positions(shop.jobs.list("t")) == {"now": 1}
+    due = shop.jobs.list("own")[0].created_at
+    shop.start("w1")
+    shop.wait(lambda: len(begun(shop)) == 4)
+    assert begun(shop) == ["now", "first", "second", "third"]
+    assert {job.id for job in shop.jobs.list("own", states=[State.QUEUED])} == {"never"}
+    assert now() < due
 
 
 def test_what_was_cancelled_costs_no_turn(jobs: DurableJobs) -> None:
