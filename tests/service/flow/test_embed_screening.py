@@ -51,12 +51,15 @@ class House:
         }
         self.asked: list[tuple[str, str]] = []  # task, and its whole request as it goes through the pipe
         self.carries: list[str] = []
+        self.copy_z: dict[str, float] = {}
 
-    def register(self, name: str, tenant: str, number: int) -> None:
+    def register(self, name: str, tenant: str, number: int, gaussians: int = 300) -> None:
         path = self.folder / "entry"
-        path.write_bytes(Entry(make_sketch(clusters(number, 300)), None).to_bytes())
+        model = clusters(number, 300).take(np.arange(gaussians))
+        path.write_bytes(Entry(make_sketch(model), None).to_bytes())
         row = dict.fromkeys(TEXTS.split(), name) | {"id": name, "tenant": tenant, "gaussians": 1}
-        row |= {"owner_key": self.key_ids[tenant], "original_sha256": f"{number:064x}", "preview_sha256": ""}
+        row |= {"owner_key": self.key_ids[tenant], "preview_sha256": ""}
+        row |= {"original_sha256": f"{300 * number + gaussians:064x}"}
         row |= {"sketch_sha256": self.service.blobs.put(path), "registered_at": name}
         record = self.folder / "record"
         record.write_text(name)
@@ -103,8 +106,9 @@ class House:
                 return TASKS[task](request, folder, silent)
             if task == "marks":
                 names = [each["asset"] for each in request["candidates"]]
-                found = {"z": 99.0, "log10_false_claim": -2000.0, "copy_z": 1.0, "copy_named": True}
-                return {"carries": [{"asset": name} | found for name in names if name in self.carries]}
+                found = {"z": 99.0, "log10_false_claim": -2000.0, "copy_named": True}
+                told = [found | {"asset": name, "copy_z": self.copy_z.get(name, 1.0)} for name in names]
+                return {"carries": [each for each in told if each["asset"] in self.carries]}
             files = {name: name for name in ("model", "record", "preview", "sketch")}
             for name in files:
                 (folder / name).write_text(name)
@@ -174,9 +178,10 @@ def test_ones_own_mark_is_told_and_anothers_to_its_owner(house: House) -> None:
 def test_of_many_copies_of_one_original_its_owner_gets_one_notice(house: House) -> None:
     for number in range(3):
         house.register(f"copy {number}", "alice", 1)
-    house.carries = ["copy 0", "copy 2"]
+    house.carries, house.copy_z = ["copy 0", "copy 1", "copy 2"], {"copy 1": 40.0}
     house.embed(1)
-    assert [(notice["tenant"], notice["asset_id"]) for notice in house.watch()] == [("alice", "copy 0")]
+    told = [(notice["tenant"], notice["asset_id"]) for notice in house.watch()]
+    assert told == [("alice", "copy 1")], "about the copy that says most"
 
 
 def test_forty_questions_tell_an_uploader_nothing(tmp_path: Path) -> None:
@@ -243,6 +248,16 @@ def test_uploads_that_are_alike_share_a_budget(house: House) -> None:
         house.embed(1)
     assert caught.value.kind == "budget-exceeded"
     house.embed(2)
+
+
+def test_a_newer_likeness_is_no_new_budget(house: House) -> None:
+    """Each upload becomes an asset, which the next one resembles most."""
+    house.register("a", "bob", 1, gaussians=250)
+    for _ in range(house.service.settings.subject_embeds_per_day):
+        house.embed(1)
+    house.register("b", "bob", 1)
+    with pytest.raises(Problem, match="at most 3 in 24 h"):
+        house.embed(1)
 
 
 def row(name: str, tenant: str, original: str) -> Any:
