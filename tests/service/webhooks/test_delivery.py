@@ -74,9 +74,11 @@ def deliver(service: Service) -> int:
 
 
 def test_the_end_of_a_job_is_told_signed(own: Service, receivers: Receivers) -> None:
-    receiver, stranger = receivers(), receivers()
+    receiver, stranger, marks_alone = receivers(), receivers(), receivers()
     name, secret = add(own, receiver)
     _, other = add(own, stranger, "stranger")
+    another, _ = add(own, marks_alone)
+    own.db.change(sa.update(webhooks).where(webhooks.c.id == another).values(events="mark.found"))
     ended(own, "job_1")
     assert deliver(own) == 1
     ((path, headers, body),) = receiver.got
@@ -95,7 +97,7 @@ def test_the_end_of_a_job_is_told_signed(own: Service, receivers: Receivers) -> 
     assert headers["content-type"] == "application/json"
     assert set(json.loads(body)) == {"event", "at", "job"}
     assert secret.encode() not in body
-    assert stranger.got == []
+    assert stranger.got == marks_alone.got == []
     assert (left(own.db), deliver(own)) == ({}, 0)
     row = state(own.db, name)
     assert (row.last_status, row.last_outcome) == (204, "delivered")
