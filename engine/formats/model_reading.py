@@ -16,19 +16,23 @@ from engine.model import GaussianModel
 _META, _LOD_META = "meta.json", "lod-meta.json"
 
 _HEIC, _AVI, _MATROSKA = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1"), b"AVI ", b"\x1aE\xdf\xa3"
-_OTHERS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
-    (lambda data: data[4:8] == b"ftyp" and data[8:12] in _HEIC, "is a HEIC photo: save it as JPEG or PNG"),
+_OTHERS: tuple[tuple[Callable[[bytes, str], bool], str], ...] = (
+    (lambda data, _: data[4:8] == b"ftyp" and data[8:12] in _HEIC, "is a HEIC photo: save it as JPEG or PNG"),
     (
-        lambda data: data[4:8] == b"ftyp" or data[8:12] == _AVI or data.startswith(_MATROSKA),
+        lambda data, _: data[4:8] == b"ftyp" or data[8:12] == _AVI or data.startswith(_MATROSKA),
         "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
     ),
-    (lambda data: data.startswith(b"%PDF"), "is a PDF: save the picture in it as PNG or JPEG"),
+    (lambda data, _: data.startswith(b"%PDF"), "is a PDF: save the picture in it as PNG or JPEG"),
     (
-        lambda data: data[:1024].lstrip().lower().startswith((b"<!doctype html", b"<html")),
+        lambda data, _: data[:1024].lstrip().lower().startswith((b"<!doctype html", b"<html")),
         "is a web page: give the model that it loads, or a screenshot of what it shows",
     ),
+    (
+        lambda _, file: file.lower().endswith((".lcc", ".rad")),
+        "is none of the formats read here: splat-transform converts it (splat-transform FILE model.ply)",
+    ),
 )
-"""Other files given as a suspect, recognized by their first bytes, and what to do with them."""
+"""Other files given as a suspect, recognized by their first bytes or their name, and what to do with them."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +109,9 @@ def _told(data: bytes, file: str) -> Kind:
             return kind
     if not data:
         raise FormatError("is empty", file=file)
-    message = f"is none of the formats read here: {', '.join(READ)}"
-    raise UnsupportedFormatError(next((text for recognizes, text in _OTHERS if recognizes(data)), message), file=file)
+    none = f"is none of the formats read here: {', '.join(READ)}"
+    advice = (text for recognizes, text in _OTHERS if recognizes(data, file))
+    raise UnsupportedFormatError(next(advice, none), file=file)
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:

@@ -120,6 +120,13 @@ def test_what_people_hold_for_a_suspect_is_named(head: bytes, advice: str) -> No
         read_model(head + bytes(100))
 
 
+def test_a_format_that_others_convert_is_known_by_its_name() -> None:
+    with pytest.raises(UnsupportedFormatError, match="splat-transform"):
+        read_model(b"RAD0" + bytes(100), name="scene.RAD")
+    with pytest.raises(UnsupportedFormatError, match="none of the formats read here: ply"):
+        read_model(b"RAD0" + bytes(100), name="scene.xyz")
+
+
 def test_a_packed_model_is_to_be_unpacked() -> None:
     """Mail programs and shops pack what they send."""
     file = io.BytesIO()
