@@ -110,8 +110,9 @@ def test_the_unmarked_original_is_called_that_and_nothing_is_to_be_taken_down(re
 
 def test_other_assets_have_an_entry_each(registry: Registry, answer: Any) -> None:
     registry.register(id="as_2", job="job_of_2", copy="Atelier Sued", message="8be81eaf", record_id="ee" * 16)
+    registry.register(id="as_3", job="job_of_3", tenant="stranger")
     second = reply("inconclusive")["claim"]
-    beside = [{"asset": "as_2", "claim": second}, {"asset": "as_gone", "claim": second}]
+    beside = [{"asset": name, "claim": second} for name in ("as_2", "as_gone", "as_3")]
     (other,) = answer(reply("marked") | {"others": beside})["others"]
     assert (other["asset_id"], other["copy_name"], other["verdict"]) == ("as_2", "Atelier Sued", "inconclusive")
     assert other["registered_bits"]["hex"] == "8be81eaf"
