@@ -102,7 +102,7 @@ class Reading(TypedDict):
     verdict: Literal["marked", "not_marked", "inconclusive"]
     headline: Annotated[str, Field(description="The verdict in words.")]
     bits: Annotated[Bits | None, Field(description="As extracted; null where nothing was read.")]
-    no_bits: Annotated[str | None, Field(description="Why there are none.")]
+    no_bits: NotRequired[Annotated[str | None, Field(description="Why there are none.")]]
     registered_bits: Annotated[Bits | None, Field(description="As the record has them.")]
     matching: Annotated[int | None, Field(description="Bits that were read as registered.")]
     bit_accuracy: Annotated[float | None, Field(description="matching / length; pure chance gives about 0.5.")]
