@@ -21,6 +21,7 @@ from service.claims.share_endpoints import router as shares
 from service.core import Service
 from service.disputes.endpoints import router as disputes
 from service.embeds.endpoints import router as embeds
+from service.embeds.notices import router as notices
 from service.health.endpoints import router as health
 from service.http.access import check_address
 from service.http.error_responses import install
@@ -92,7 +93,7 @@ def make_app(service: Service) -> FastAPI:
     )
     app.state.service = service
     ours = (me, keys, uploads, embeds, verifications, disputes, jobs, assets, credentials, claims, shares, webhooks)
-    for router in (*ours, health):
+    for router in (*ours, notices, health):
         app.include_router(router)
     install(app)
     app.add_middleware(BodyGuard, settings=service.settings)

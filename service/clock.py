@@ -12,5 +12,12 @@ def now() -> str:
 
 
 def ago(hours: float) -> str:
-    """The time that many hours before now."""
+    """The time that many hours before now; after now where `hours` is negative."""
     return (datetime.now(UTC) - timedelta(hours=hours)).isoformat(timespec="microseconds")
+
+
+def seconds_until(time: str) -> float:
+    """From now; 0 once it is past."""
+    if time <= now():
+        return 0.0
+    return (datetime.fromisoformat(time) - datetime.now(UTC)).total_seconds()

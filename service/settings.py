@@ -51,7 +51,18 @@ class Settings(BaseSettings):
     embeds_per_hour: int = Field(120, gt=0, description="Embed jobs an API key may start in an hour.")
     verifies_per_hour: int = Field(600, gt=0, description="Verify jobs an API key may start in an hour.")
     subject_verifies_per_day: int = Field(
-        200, gt=0, description="Verifications a day of suspects that derive from one asset (near duplicates)."
+        200, gt=0, description="Verifications a day of suspects that derive from one original (near duplicates)."
+    )
+    subject_embeds_per_day: int = Field(
+        100,
+        gt=0,
+        description="Embed jobs a day of a tenant's uploads that are alike; the same file again does not count.",
+    )
+    watch_minutes: float = Field(
+        60.0,
+        ge=0,
+        description="Marks of other owners are looked for in an upload at a random moment within so long after it was"
+        " marked: what its uploader sees of the queue tells nothing of them.",
     )
     queued_jobs: int = Field(200, gt=0, description="Jobs of a tenant that may wait or run at a time.")
     conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")

@@ -9,6 +9,7 @@ from service.claims import shares
 from service.core import Service
 from service.disputes.flow import dispute_flow
 from service.embeds.flow import embed_flow
+from service.embeds.watch import watch_flow
 from service.http.budgets import forget
 from service.jobs.runner import Worker
 from service.uploads.retention import sweep
@@ -24,6 +25,7 @@ def run_worker(service: Service, name: str, die_with_parent: bool) -> NoReturn:
     for beside in (_tidy, deliver_for_ever):
         threading.Thread(target=beside, args=(service,), daemon=True).start()
     flows = {"embed": embed_flow(service), "verify": verify_flow(service), "dispute": dispute_flow(service)}
+    flows["watch"] = watch_flow(service)
     Worker(service.settings, flows, service.jobs, name=name, die_with_parent=die_with_parent).run()
 
 

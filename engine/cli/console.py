@@ -28,6 +28,8 @@ STAGES = {
     "prune": "pruning to the quality budget",
     "quantize": "quantizing",
     "plan": "planning the watermark",
+    "choose": "choosing the settings",
+    "mark": "embedding the watermark",
     "refine": "refining the watermark against distortions",
     "landmarks": "building the landmark database",
     "record": "sealing the record",
@@ -38,7 +40,9 @@ STAGES = {
     "render": "rendering the suspect at the key views",
     "find camera": "finding the camera of the picture",
     "read picture": "reading the picture",
+    "model": "extracting bits from the model",
     "decide": "evaluating the evidence",
+    "locate": "locating the watermark",
 }
 """Stage names of the engine in words."""
 

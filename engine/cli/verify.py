@@ -129,8 +129,9 @@ def verify(
     from engine.flows.verify.search import VerifyConfig
     from engine.present.numerals import PLAIN
     from engine.present.wording import words_of
-    from engine.usecases.verify import VerifyReport, VerifyRequest
+    from engine.usecases.verify import VerifyReport, VerifyRequest, printed
     from engine.usecases.verify import verify as verify_records
+    from engine.watermark.messages import message_hex
     from engine.watermark.regions import RegionConfig
 
     located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses a rate that is none, asked for or not
@@ -185,7 +186,7 @@ def verify(
         console.say(line)
     for line in region_lines(answer.regions, str(regions)) if answer.regions is not None else ():
         console.say(line)
-    console.emit(report)
+    console.emit(printed(report, message_hex(opened.message)))
     return VERDICT_CODES[report["verdict"]]
 
 

@@ -5,7 +5,6 @@ States are drawn, not z: nothing that is shown tells a secret sign, or where one
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ from engine.flows.embed.copy_mark import mark_again
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.regions.region_search import RegionReport
 from engine.flows.verify.search import Suspect, Verification
-from engine.flows.views.display_view import choose_view, lay_over, to_picture
+from engine.flows.views.display_view import choose_view, lay_over, to_picture, widened
 from engine.flows.views.render_cost import is_drawable
 from engine.model import Camera, Float32, GaussianModel, Int32
 from engine.numerics.resampling import smooth
@@ -38,17 +37,19 @@ SAYS = {
 }
 PANEL = (480, 400)
 """Each picture of a sheet, pixels; a picture that was handed in keeps its shape within the larger side."""
-AIR, AROUND, ALL = 0.85, 0.5, 0.95
-"""Focal length, in that of a view that a model fills, at which all of it is seen, and at which a piece is seen in the
-scene that it lies in; and the share of a suspect from which on that scene is the piece."""
+AROUND, ALL = 0.6, 0.95
+"""Focal length, in that of a view of a piece alone, at which it is seen in the scene that it lies in; and the share of
+a suspect from which on that scene is the piece."""
 MOST_SHOWN = 2
 """Pieces of a suspect that a sheet shows; regions.json has all."""
 _BLUR = 1.5
 """Pixels: single Gaussians do not speckle the map."""
 _HATCH = 9
 """Pixels between the lines over what is not seen."""
+LEGEND = 360
+"""Least width of a sheet, pixels: below it the legend would stand higher than the map."""
 _INK, _PAPER, _MUTE = (27, 31, 36), (255, 255, 255), (86, 98, 114)
-_LINE, _CAPTION, _GAP, _MARGIN = 19, 24, 8, 8
+_LINE, _CAPTION, _GAP, _MARGIN, _KEY = 19, 24, 8, 8, 32
 
 
 def draw_states(view: View, states: Int32, image: Float32, alpha: Float32, *, hatched: bool = True) -> Image.Image:
@@ -89,27 +90,49 @@ def add_legend(picture: Image.Image, report: RegionReport) -> Image.Image:
         about += ["Blue is measured, not proven: a mark of half its strength would have shown there."]
     if not report.claimed:
         about += ["THE CLAIM ITSELF IS NOT MADE: this map proves nothing by itself."]
-    wide = max(40, (picture.width - 2 * _MARGIN) // 6)
-    lines = [line for each in about for line in textwrap.wrap(each, wide)]
-    height = picture.height + _LINE * (len(State) + len(lines)) + 2 * _MARGIN
-    sheet = Image.new("RGB", (picture.width, height), _PAPER)
-    sheet.paste(picture, (0, 0))
-    pen, top = ImageDraw.Draw(sheet), picture.height + _MARGIN
-    for state in reversed(State):
-        name = state.name.lower()
-        fill = tuple(round(255 * part) for part in COLORS[state])
-        pen.rectangle((_MARGIN, top + 2, _MARGIN + 22, top + 14), fill=fill, outline=_INK)
-        if state is State.UNSEEN:
-            for left in range(_MARGIN + 4, _MARGIN + 22, 6):
-                pen.line((left, top + 13, left + 5, top + 3), fill=_MUTE)
-        count = f"{summary['share'][name]:.0%} of the asset's Gaussians, regions: {summary[name]:,}"
-        text = f"{SAYS[state]}: {count}"
-        pen.text((_MARGIN + 32, top), text, fill=_INK, font=font if pen.textlength(text, font) < wide * 6 else small)
-        top += _LINE
-    for line in lines:
-        pen.text((_MARGIN, top + 2), line, fill=_MUTE, font=small)
-        top += _LINE
+    counts = {state: f"{summary['share'][state.name.lower()]:.0%}" for state in State}
+    says = [
+        (state, f"{SAYS[state]}: {counts[state]} of the asset's Gaussians, regions: {summary[state.name.lower()]:,}")
+        for state in reversed(State)
+    ]
+    width = max(picture.width, LEGEND)
+    lines = [
+        *((state, line) for state, text in says for line in _wrapped(text, font, width - 2 * _MARGIN - _KEY)),
+        *((None, line) for text in about for line in _wrapped(text, small, width - 2 * _MARGIN)),
+    ]
+    sheet = Image.new("RGB", (width, picture.height + _LINE * len(lines) + 2 * _MARGIN), _PAPER)
+    sheet.paste(picture, ((width - picture.width) // 2, 0))
+    pen, top, before = ImageDraw.Draw(sheet), picture.height + _MARGIN, None
+    for state, line in lines:
+        if state is None:
+            pen.text((_MARGIN, top + 2), line, fill=_MUTE, font=small)
+        else:
+            pen.text((_MARGIN + _KEY, top), line, fill=_INK, font=font)
+            if state is not before:
+                _draw_key(pen, state, top)
+        top, before = top + _LINE, state
     return sheet
+
+
+def _draw_key(pen: ImageDraw.ImageDraw, state: State, top: int) -> None:
+    """A box in the color of a state."""
+    fill = tuple(round(255 * part) for part in COLORS[state])
+    pen.rectangle((_MARGIN, top + 2, _MARGIN + 22, top + 14), fill=fill, outline=_INK)
+    if state is State.UNSEEN:
+        for left in range(_MARGIN + 4, _MARGIN + 22, 6):
+            pen.line((left, top + 13, left + 5, top + 3), fill=_MUTE)
+
+
+def _wrapped(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int) -> list[str]:
+    """Lines of at most so many pixels, as far as words allow."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def draw_report(report: RegionReport, suspect: Suspect, opened: OpenedRecord, found: Verification) -> Image.Image:
@@ -118,7 +141,7 @@ def draw_report(report: RegionReport, suspect: Suspect, opened: OpenedRecord, fo
     camera = next((each for each in found.cameras if each is not None), None)
     panels: list[tuple[str, Image.Image]] = []
     if camera is None:
-        front = _wider(choose_view(asset, *PANEL), AIR)
+        front = choose_view(asset, *PANEL)
         cameras = [("The asset, registered", front), ("The asset, from behind", _behind(front, asset))]
     else:
         cameras = [("The asset, from there", camera.with_side(min(PANEL[0], max(camera.width, camera.height))))]
@@ -138,11 +161,11 @@ def _of_suspect(model: GaussianModel, report: RegionReport) -> list[tuple[str, I
     piece, _, state = report.of_suspect
     shown = min(MOST_SHOWN, len(report.pieces))
     if not (piece >= 0).any() or (shown == 1 and (piece == 0).mean() > ALL):
-        camera = _wider(choose_view(model, *PANEL), AIR)
+        camera = choose_view(model, *PANEL)
         return [("The suspect", _panel(model, state, camera, hatched=False))]
     panels = []
     for number in range(shown):
-        camera = _wider(choose_view(model.take(np.flatnonzero(piece == number)), *PANEL), AROUND)
+        camera = widened(choose_view(model.take(np.flatnonzero(piece == number)), *PANEL), AROUND)
         name = (
             "In the suspect"
             if len(report.pieces) == 1
@@ -152,13 +175,6 @@ def _of_suspect(model: GaussianModel, report: RegionReport) -> list[tuple[str, I
         name += ", mirrored" if placed is not None and placed.mirrored else ""
         panels.append((f"{name} (pale: not of the asset)", _panel(model, state, camera, hatched=False)))
     return panels
-
-
-def _wider(camera: Camera, factor: float) -> Camera:
-    """The camera with so many times the focal length."""
-    K = camera.K.copy()
-    K[0, 0], K[1, 1] = factor * K[0, 0], factor * K[1, 1]
-    return Camera(camera.viewmat, K, camera.width, camera.height)
 
 
 def _panel(model: GaussianModel, states: Int32, camera: Camera, *, hatched: bool = True) -> Image.Image:

@@ -19,6 +19,9 @@ HEADLINES = {"marked": "Watermark found", "not_marked": "Your unmarked original"
 TO_ROUNDING = 1e-3
 """Median displacement, in sizes of a Gaussian, below which positions are called equal: formats round by more."""
 
+COIN = 0.5 + 1e-9
+"""A bit that is read no more surely than this was not read."""
+
 ROUTES = {
     "model": "the suspect's Gaussians, compared one by one with the registered original",
     "both": "the suspect's Gaussians, compared one by one, plus its renders at the owner's secret views",
@@ -72,7 +75,7 @@ def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", picture
         against.append((math.log10(rate), f"required here: {form.rate(rate)}"))
         against.sort(reverse=True)
     return Words(
-        headline=HEADLINES[claim["verdict"]] if _recognised(claim) else "Not recognized",
+        headline=headline_of(claim),
         finding=_finding(claim, form, suspect, pictures),
         facts=tuple(sorted(_facts(claim, form), key=lambda fact: not fact.leading)),
         meaning={
@@ -110,10 +113,27 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
     return f"{this} {shows} {whose}, or something made from it: its watermark was found."
 
 
-def _recognised(claim: Mapping[str, Any]) -> bool:
+def headline_of(claim: Mapping[str, Any]) -> str:
+    """The verdict in two or three words."""
+    return HEADLINES[claim["verdict"]] if recognizes(claim) else "Not recognized"
+
+
+def recognizes(claim: Mapping[str, Any]) -> bool:
+    """Whether anything of the registered model was found in the suspect, or of its mark."""
     return bool(
         claim["verdict"] != "inconclusive" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
     )
+
+
+def why_no_bits(claim: Mapping[str, Any]) -> str | None:
+    """Why a claim has no bits; None where some were read."""
+    searched = claim.get("searched") or {"compared": 0, "unreadable": 0}
+    if claim["message"] is None and searched["compared"] == searched["unreadable"]:
+        return "no record could be compared with the suspect"
+    if claim["message"] is None or not recognizes(claim):
+        return "nothing of a registered model was recognized in the suspect"
+    known = max(claim["bit_reliability"]) > COIN
+    return None if known else "what was recognized says nothing about the bits"
 
 
 def _nothing_of(claim: Mapping[str, Any]) -> str:
@@ -141,8 +161,9 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         tried = f"corrected for {claim['tries']:,} {'hypothesis' if claim['tries'] == 1 else 'hypotheses'}"
         odds, needed = form.odds(claim["log10_false_claim"]), _needed(claim, form)
         found.append(Fact("false claim", f"{odds} (z {claim['z']:.3g}), {tried}; required: {needed}", leading=True))
-        bits = f"{claim['message']}: {claim['matching_bits']}/{claim['bits']} bits match"
-        found.append(Fact("message read", f"{bits}; {_sureness(claim)}", leading=True))
+        bits = f"{claim['message']}: {claim['matching_bits']}/{claim['bits']} bits match; {_sureness(claim)}"
+        none = why_no_bits(claim)
+        found.append(Fact("message read", f"none: {none}" if none else bits, leading=True))
     found.append(Fact("derived", derivation_text(claim["derivation"]), leading=True))
     if claim["verdict"] == "not_marked":
         found.append(Fact("difference", _change(claim.get("change")), leading=True))

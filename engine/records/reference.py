@@ -209,7 +209,8 @@ def _decode_rest(rest: npt.NDArray[Any], escape: npt.NDArray[Any], sh: npt.NDArr
     if escapes.sum() != len(escape) or (escape < _ESCAPE).any():
         raise MalformedRecordError("SH exceptions of the reference are malformed")
     first = np.cumsum(escapes).reshape(escapes.shape) - escapes
-    _look_up_rows(rest, _unzigzag(np.arange(_ESCAPE)), _unzigzag(escape), first, sh.reshape(n, -1)[:, 3:])
+    if width:  # rows of nothing have a layout of their own, for which a kernel would be compiled
+        _look_up_rows(rest, _unzigzag(np.arange(_ESCAPE)), _unzigzag(escape), first, sh.reshape(n, -1)[:, 3:])
 
 
 def _unzigzag(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from engine.watermark.rates import Attested
     from engine.watermark.regions import RegionConfig
 
-__all__ = ["VerifyAnswer", "VerifyReport", "VerifyRequest", "verify"]
+__all__ = ["VerifyAnswer", "VerifyReport", "VerifyRequest", "printed", "verify"]
 
 MOMENTS = 9
 """Moments of a clip that pictures are compared with; each is a try."""
@@ -84,6 +84,15 @@ class VerifyReport(Report):
         found = super().to_json()
         del found["claim"]
         return self.claim.to_json() | found
+
+
+def printed(report: Json, registered: str) -> Json:
+    """The JSON of a `VerifyReport` as it is handed out: its `Reading` in place of what that says, and the rest."""
+    from engine.present.reading import reading_of
+
+    reading = reading_of(report, registered).to_json()
+    said = {*reading, "message", "matching_bits", "bit_reliability", "tries"}
+    return reading | {name: value for name, value in report.items() if name not in said}
 
 
 @dataclass(frozen=True, eq=False)

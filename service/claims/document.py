@@ -4,16 +4,18 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel, Field
 
 from engine.present.checks import named
 from engine.present.numerals import TYPOGRAPHIC, Form
-from engine.present.wording import Words, words_of
+from engine.present.reading import reading_of
+from engine.present.wording import Words, recognizes, words_of
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.clock import LOG
+from service.http.results import Reading
 
 
 class Fact(BaseModel):
@@ -41,22 +43,21 @@ class NamedCheck(BaseModel):
 
 
 class Summary(BaseModel):
-    """The claim in words; they follow from the document, and are not signed themselves."""
+    """The claim in words, and what was read; all of it follows from the document, and is not signed itself."""
 
     headline: str
     finding: str = Field(description="The verdict in one sentence.")
     facts: list[Fact]
     limits: list[Bar]
     checks: list[NamedCheck]
+    reading: Reading
 
 
 def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
     """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it speaks of
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]
-    recognised = claim is not None and bool(
-        claim["verdict"] == "marked" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
-    )
+    recognised = claim is not None and recognizes(claim)
     unreadable = sum(each["verdict"] == "could_not_check" for each in tried)
     counted = {"compared": len(tried), "unreadable": unreadable, "recognised": recognised}
     told = {**reply, "searched": {**reply["searched"], **counted}}
@@ -190,6 +191,28 @@ def _found(claim: Mapping[str, Any], registered: str) -> Document:
 
 def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Words:
     """The document in the engine's words; those of an old document are made anew, but for its own `meaning`."""
+    subject = document["subject"]
+    pictures = len(subject["sha256"]) if subject["kind"] == "pictures" else 0
+    return words_of(_claim_of(document), form, pictures=pictures)
+
+
+def document_reading(document: Mapping[str, Any]) -> Reading:
+    """What was read, as `mark3dgs verify --json` has it."""
+    read = reading_of(_claim_of(document), (document["message"] or {}).get("registered"))
+    return cast("Reading", read.to_json())
+
+
+def no_pack(document: Mapping[str, Any]) -> str:
+    """Why there is nothing to ask a platform for; "" where there is."""
+    if document["verdict"] == "not_marked":
+        return "the suspect is the unmarked original, or a part of it: your watermark is not in it"
+    if not recognizes(_claim_of(document)):
+        return "this claim recognised nothing of the asset"
+    return ""
+
+
+def _claim_of(document: Mapping[str, Any]) -> Document:
+    """The engine's claim, as far as a document holds it."""
     message, threshold = document["message"] or {}, document["threshold"] or {}
     evidence = document["evidence"][0] if document["evidence"] else {}
     claim = {
@@ -204,9 +227,7 @@ def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Wor
     }
     if document["schema_version"] == 1:
         claim |= _of_first_version(document)
-    subject = document["subject"]
-    pictures = len(subject["sha256"]) if subject["kind"] == "pictures" else 0
-    return words_of(claim, form, pictures=pictures)
+    return claim
 
 
 def _of_first_version(document: Mapping[str, Any]) -> Document:
@@ -228,4 +249,5 @@ def summary_of(document: Mapping[str, Any]) -> Summary:
         facts=[Fact(label=fact.label, text=fact.text) for fact in words.facts],
         limits=[Bar(log10=log10, text=text) for log10, text in words.limits],
         checks=[NamedCheck.model_validate(check) for check in named(document["checks"])],
+        reading=document_reading(document),
     )

@@ -7,8 +7,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from engine.present.reading import reading_of
 from engine.records.timestamps import stamp
-from service.claims.document import build_document
+from service.claims.document import build_document, document_reading, no_pack
 from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
@@ -51,13 +52,33 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
             names=job.request.get("names", ()),  # jobs of earlier versions have none
             issuer={"name": service.settings.issuer_name, "address": service.settings.public_url},
         )
-    result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
-        name: claim.document[name] for name in ("verdict", "confidence", "log10_false_claim", "checks")
+    result: dict[str, Any] = {
+        **document_reading(claim.document),
+        **{"claim_id": claim.id, "asset_id": claim.document["asset"], "checks": claim.document["checks"]},
+        **{"others": _others(service.db, job.tenant, reply.get("others", ())), "links": links_of(claim.document)},
     }
     url = service.settings.tsa_url
     if url and (failure := stamp_claim(service.db, url, claim)):
         result["timestamp_failure"] = failure
     return result
+
+
+def links_of(document: Document) -> dict[str, str]:
+    """Where a claim and what belongs to it are, as paths of the API."""
+    claim = f"/v1/claims/{document['claim_id']}"
+    links = {"claim": claim, "jws": f"{claim}.jws", "report": f"{claim}/report"}
+    links |= {"asset": f"/v1/assets/{document['asset']}"} if document["asset"] else {}
+    return links | ({"pack": f"{claim}/pack"} if not no_pack(document) else {})
+
+
+def _others(db: Database, tenant: str, claims: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Readings of further assets of the tenant."""
+    mine = (assets.c.tenant == tenant) & assets.c.id.in_([each["asset"] for each in claims])
+    rows = {row.id: row for row in db.query(sa.select(assets.c.id, assets.c.copy, assets.c.message).where(mine))}
+    there = [(rows[each["asset"]], each["claim"]) for each in claims if each["asset"] in rows]
+    return [
+        reading_of(claim, row.message).to_json() | {"asset_id": row.id, "copy_name": row.copy} for row, claim in there
+    ]
 
 
 def issue_claim(

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from engine.present.html_pages import templates
 from engine.present.numerals import PLAIN, when
-from service.claims.document import document_words
+from service.claims.document import document_words, no_pack
 from service.claims.report import captions_of, timeline
 from service.claims.schema import OwnerStatement
 from service.problems import Problem
@@ -47,10 +47,10 @@ def make_pack(
 ) -> bytes:
     """The ZIP of a signed claim; `pictures`: PNG bytes of those that `shown_in_pack` names.
 
-    "conflict" where the claim recognised nothing: then there is nothing to ask a platform for.
+    "conflict" where the claim recognised nothing, or the owner's unmarked original: nothing to ask a platform for.
     """
-    if document["verdict"] == "inconclusive" and not (document.get("derivation") or {}).get("derived"):
-        raise Problem("conflict", "this claim recognised nothing of the asset, so there is nothing to take down")
+    if reason := no_pack(document):
+        raise Problem("conflict", f"{reason}, so there is nothing to take down")
     if pictures.keys() != set(shown_in_pack(pictures)):
         raise ValueError(f"not to be shown to strangers: {sorted(pictures)}")
     issuer, digests = document.get("issuer") or {}, document["pictures"]

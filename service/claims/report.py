@@ -16,7 +16,7 @@ from engine.present.html_pages import templates
 from engine.present.numerals import TYPOGRAPHIC, when
 from engine.present.wording import ROUTES
 from engine.records.timestamps import TimestampFault, stamped_at
-from service.claims.document import document_words
+from service.claims.document import document_reading, document_words
 
 BITS_PER_LINE = 32
 _LEFT, _CELL = 84, 20
@@ -52,14 +52,14 @@ def report_html(
     document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None = None
 ) -> str:
     """One self-contained HTML page; pictures: PNG bytes, as `document["pictures"]` names them; timestamp: RFC 3161."""
-    words, captions = document_words(document), captions_of(document)
+    words, captions, reading = document_words(document), captions_of(document), document_reading(document)
     return _template().render(
         claim=document,
         words=words,
         facts=[fact for fact in words.facts if fact.leading],
         odds=TYPOGRAPHIC.odds(document["log10_false_claim"]),
-        message=document["message"],
-        bits=_bit_lines(document["message"]) if document["message"] else None,
+        reading=reading,
+        bits=_bit_lines(reading) if reading["bits"] else None,
         scale=_bound_scale(document["log10_false_claim"], words.limits),
         pictures=[
             (name, captions.get(name, name), base64.b64encode(pictures[name]).decode())
@@ -94,20 +94,20 @@ def timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) -> 
     return [(when(at), what, proof) for at, what, proof in events]
 
 
-def _bit_lines(message: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """The bits of a claim's message in lines, most significant first: place, both values, 0 (a coin) to 1 (certain)."""
-    registered, read = (_bits(message[name], message["bits"]) for name in ("registered", "hex"))
-    places = [_LEFT + _CELL * (k % BITS_PER_LINE) for k in range(message["bits"])]
+def _bit_lines(reading: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
+    """The bits of a reading in lines, most significant first: place, both values, 0 (a coin) to 1 (certain)."""
+    read, meant = reading["bits"]["string"], reading["registered_bits"]["string"]
     bits = [
-        {"number": k, "x": places[k], "registered": registered[k], "read": read[k], "sure": max(0.0, 2.0 * sure - 1.0)}
-        for k, sure in enumerate(message["reliability"])
+        {
+            "number": k,
+            "x": _LEFT + _CELL * (k % BITS_PER_LINE),
+            "registered": meant[k],
+            "read": read[k],
+            "sure": max(0.0, 2.0 * sure - 1.0),
+        }
+        for k, sure in enumerate(reading["reliability"])
     ]
     return [bits[k : k + BITS_PER_LINE] for k in range(0, len(bits), BITS_PER_LINE)]
-
-
-def _bits(text: str, count: int) -> list[int]:
-    number = bin(int(text, 16))[2:].zfill(4 * len(text)) if text else ""
-    return [int(digit) for digit in number[:count]]
 
 
 def _bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> dict[str, Any]:

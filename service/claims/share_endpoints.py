@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.claims import shares
@@ -40,7 +40,10 @@ class Share(BaseModel):
 class MadeShare(Share):
     """One just made."""
 
-    url: str = Field(description="Link to send. It is shown only once; everyone who has it can read the report.")
+    url: str = Field(
+        description="Link to send; a path alone where the operator set no MARK3DGS_PUBLIC_URL. It is shown only once;"
+        " everyone who has it can read the report."
+    )
 
 
 class ShareList(BaseModel):
@@ -58,7 +61,7 @@ class ShareList(BaseModel):
     ),
 )
 def share_claim(
-    claim_id: str, core: Core, caller: Verifier, request: Request, response: Response, body: NewShare = FOR_A_WHILE
+    claim_id: str, core: Core, caller: Verifier, response: Response, body: NewShare = FOR_A_WHILE
 ) -> MadeShare:
     """Make an address under which the report is seen without an API key, for some days or until it is revoked.
 
@@ -66,9 +69,8 @@ def share_claim(
     a key that only reads shall leave nothing behind that goes on when it is revoked.
     """
     token, row = shares.share(core, caller, visible(core, caller, schema.claims, claim_id), body.days)
-    address = (core.settings.public_url or str(request.base_url)).rstrip("/")
     response.headers["Cache-Control"] = "no-store"
-    return MadeShare.model_validate(row._asdict() | {"url": f"{address}/shared/{token}"})
+    return MadeShare.model_validate(row._asdict() | {"url": f"{core.settings.public_url.rstrip('/')}/shared/{token}"})
 
 
 @router.get("/v1/claims/{claim_id}/shares", operation_id="listShares", responses=OF_OWN)

@@ -5,6 +5,8 @@ Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` sa
 
 from service.client.answers import (
     Asset,
+    AssetReading,
+    Bits,
     Check,
     Claim,
     ClaimSummary,
@@ -13,6 +15,8 @@ from service.client.answers import (
     Event,
     Job,
     Me,
+    Notice,
+    Reading,
     Share,
     Upload,
     Verified,
@@ -24,7 +28,9 @@ from service.client.webhooks import check_webhook
 
 __all__ = [
     "Asset",
+    "AssetReading",
     "AsyncClient",
+    "Bits",
     "Check",
     "Claim",
     "ClaimSummary",
@@ -34,6 +40,8 @@ __all__ = [
     "Event",
     "Job",
     "Me",
+    "Notice",
+    "Reading",
     "ServiceError",
     "Share",
     "Upload",

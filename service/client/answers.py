@@ -99,15 +99,51 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Verified:
-    """What came of holding a suspect against the record of one asset, or of all."""
+class Bits:
+    """A payload, most significant bit first."""
+
+    string: str  # 0 and 1; ? where nothing of a bit was read
+    hex: str | None = None  # None where a bit was not read
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What was read of one registered mark in the suspect, with the owner's record and key (informed detection)."""
+
+    verdict: Literal["marked", "not_marked", "inconclusive"]
+    log10_false_claim: float  # upper bound on the probability that an unrelated key scores this high, log10
+    headline: str = ""  # the verdict in words
+    bits: Bits | None = None  # as extracted; None where nothing was read
+    no_bits: str | None = None  # why there are none
+    registered_bits: Bits | None = None
+    matching: int | None = None  # bits that were read as registered
+    bit_accuracy: float | None = None  # matching / length; pure chance gives about 0.5
+    reliability: list[float] | None = None  # per bit: probability of a right reading; 0.5 is a coin
+    z: float | None = None  # detection statistic; 0 +- 1 without a mark
+    hypotheses: int | None = None  # tested; every bound is corrected for them
+    strength: float = 0.0  # -log2 of the bound: 30 is 1 in 10^9; 128 is needed without an attested date
+    confidence: float  # 1 - bound; rounds to 1.0 from a strength of 53 on. Not the probability of a mark
+    derived_fraction: float | None = None  # share of the registered model in the suspect
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetReading(Reading):
+    """Of one more asset that was recognised."""
+
+    asset_id: str
+    copy_name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verified(Reading):
+    """What came of holding a suspect against the record of one asset, or of all: of the asset that says most."""
 
     claim_id: str
     asset_id: str | None  # None where none of all was recognised
-    verdict: Literal["marked", "not_marked", "inconclusive"]
-    confidence: float  # 1 - min(1, bound): not the probability that the suspect is marked
-    log10_false_claim: float  # of the bound on a false claim, all tries counted
     checks: list[Check]
+    others: list[AssetReading] = field(default_factory=list)
+    links: Mapping[str, str] = field(default_factory=dict)  # claim, jws, report; asset; pack, where there is one
+    timestamp_failure: str = ""  # why there is no time stamp
 
 
 @dataclass(frozen=True)
@@ -199,12 +235,27 @@ class Webhook:
 
 
 @dataclass(frozen=True)
+class Notice:
+    """A mark of the tenant's in what another account uploaded to be marked."""
+
+    id: str
+    asset_id: str  # of the tenant; of several copies, the one that says most
+    copy_named: bool | None  # whether the upload is that copy
+    z: float
+    log10_false_claim: float
+    strength: float  # -log2 of the bound, in bits
+    uploaded_as: str  # asset that the upload became, for a dispute
+    created_at: str
+
+
+@dataclass(frozen=True)
 class Event:
     """A message to a webhook."""
 
-    event: str  # job.ended
-    at: str  # when it ended
-    job: Job
+    event: str  # job.ended, mark.found
+    at: str  # when it happened
+    job: Job | None = None  # that ended
+    notice: Notice | None = None  # of a mark that was found
 
 
 @dataclass(frozen=True)
@@ -225,4 +276,10 @@ def embedded(job: Job) -> Embedded:
 def verified(job: Job) -> Verified:
     """What a verify job came to; ServiceError where to nothing."""
     plain = job.outcome()
-    return read(Verified, {**plain, "checks": [read(Check, each) for each in plain.get("checks", ())]})
+    checks = [read(Check, each) for each in plain.get("checks", ())]
+    others = [read(AssetReading, each | _bits(each)) for each in plain.get("others", ())]
+    return read(Verified, {**plain, **_bits(plain), "checks": checks, "others": others})
+
+
+def _bits(plain: Mapping[str, Any]) -> dict[str, Bits]:
+    return {name: read(Bits, plain[name]) for name in ("bits", "registered_bits") if plain.get(name) is not None}

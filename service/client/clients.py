@@ -49,6 +49,7 @@ class _Methods:
     """What both clients can do."""
 
     add_webhook = _Method(flows.add_webhook)
+    notices = _Method(flows.notices)
     asset = _Method(flows.asset)
     assets = _Method(flows.assets)
     call = _Method(flows.call)

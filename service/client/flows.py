@@ -15,6 +15,7 @@ from service.client.answers import (
     Embedded,
     Job,
     Me,
+    Notice,
     Share,
     Upload,
     Verified,
@@ -269,9 +270,15 @@ def revoke_share(share_id: str) -> Flow[None]:
     yield from call("DELETE", address("shares", share_id))
 
 
-def add_webhook(url: str) -> Flow[Webhook]:
-    """Send a message to an address at the end of every job of the tenant; its `secret` is shown only once."""
-    return read(Webhook, (yield from call("POST", "/v1/webhooks", json={"url": url, "events": ["job.ended"]})))
+def notices(*, asset: str = "") -> Flow[list[Notice]]:
+    """Uploads of other accounts in which a mark of the tenant was found: all, or about the asset of an id."""
+    return (yield from _all(Notice, "/v1/notices", {"asset": asset}))
+
+
+def add_webhook(url: str, *, events: Sequence[str] = ("job.ended", "mark.found")) -> Flow[Webhook]:
+    """Send a message to an address at the end of every job of the tenant, and when a mark of it is found in an upload;
+    its `secret` is shown only once."""
+    return read(Webhook, (yield from call("POST", "/v1/webhooks", json={"url": url, "events": list(events)})))
 
 
 def webhooks() -> Flow[list[Webhook]]:

@@ -9,7 +9,7 @@ import json
 import re
 import time
 
-from service.client.answers import Event, Job, read
+from service.client.answers import Event, Job, Notice, read
 from service.client.errors import ServiceError
 
 HEADER = "Mark3DGS-Signature"
@@ -35,7 +35,7 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
         As it came, before any parsing.
     tolerance : float
         Seconds by which the message's time may differ from this machine's clock. Within it a message may come twice,
-        as it may after a broken connection: `job.id` tells.
+        as it may after a broken connection: `job.id` or `notice.id` tells.
     """
     found = re.fullmatch(r"t=(\d{1,15}),v1=[0-9a-f]{64}", header, re.ASCII)
     if found is None or not hmac.compare_digest(signature(secret, int(found[1]), body), header):
@@ -43,4 +43,6 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
     if abs(time.time() - int(found[1])) > tolerance:
         raise ServiceError("untrusted", f"the message was sent {time.time() - int(found[1]):.0f} s ago")
     plain = json.loads(body)
-    return Event(plain["event"], plain["at"], read(Job, plain["job"]))
+    job = read(Job, plain["job"]) if "job" in plain else None
+    notice = read(Notice, plain["notice"]) if "notice" in plain else None
+    return Event(plain["event"], plain["at"], job, notice)

@@ -61,7 +61,7 @@ jobs = Table(
     metadata,
     *_key("id"),
     *_texts("tenant", "state", "created_at", index=True),  # state: of `service.jobs.port.State`
-    *_texts("api_key", "kind", "request", "stage"),  # kind: embed, verify, dispute; request: JSON
+    *_texts("api_key", "kind", "request", "stage"),  # kind: embed, verify, dispute, watch; request: JSON
     Column("fraction", Float, nullable=False, default=0.0),
     *_texts("result", "problem", null=True),  # JSON; the problem as in RFC 9457
     _number("revision"),
@@ -115,6 +115,15 @@ claims = Table(
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of the JWS
     Column("verdict", Text, nullable=False, server_default=""),  # as the document has it: for lists
     Column("names", Text, nullable=False, server_default=""),  # of the files handed in, one a line; not signed
+)
+
+# Uploads of others in which the mark of an asset was found, for its owner. Not in the audit log: its size is no secret.
+notices = Table(
+    "notices",
+    metadata,
+    *_key("id"),
+    *_texts("tenant", index=True),
+    *_texts("asset", "upload", "finding", "created_at"),  # upload: what it became; finding: JSON, of `marks`
 )
 
 # Time stamps from which a part of a record's plan follows: the same for all copies of an asset, so kept for good.
@@ -174,6 +183,9 @@ workers = Table(
     Column("seen_at", Float, nullable=False),  # seconds since the epoch, by the worker's clock
 )
 
+ENDED, FOUND = "job.ended", "mark.found"
+"""Events: a job of the tenant ended; a notice was given to it."""
+
 webhooks = Table(
     "webhooks",
     metadata,
@@ -184,9 +196,11 @@ webhooks = Table(
     Column("sealed", LargeBinary, nullable=False),
     *_texts("last_at", "last_outcome", null=True),  # of the last try
     _number("last_status", None),  # HTTP, NULL where no answer came
+    Column("events", Text, nullable=False, server_default=ENDED),  # space-separated
 )
 
-# Pending messages of webhooks: written by the transaction that ends a job, gone once delivered or given up.
+# Pending messages of webhooks: written by the transaction that ends a job, or that gives notice (`job` is its id then);
+# gone once delivered or given up.
 deliveries = Table("deliveries", metadata, *_key("webhook", "job"), *_texts("due_at", index=True), _number("tries"))
 
 # How much of a budget a subject has used in the part of its span that begins at `window`.

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from engine.present.dispute_text import dispute_page, dispute_words
 from service.core import Service
 from service.db.schema import assets, jobs
-from service.http.access import Core, Reader, Verifier
+from service.http.access import Core, Disputer, Party
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
 from service.http.forms import Asked
@@ -60,7 +60,7 @@ class Settled(BaseModel):
 
 @router.post("", status_code=202, operation_id="dispute", response_model=JobView, responses=JOB_RESPONSES)
 async def dispute(
-    body: DisputeRequest, core: Core, caller: Verifier, prefer: Prefer = None, idempotency_key: RetryKey = None
+    body: DisputeRequest, core: Core, caller: Disputer, prefer: Prefer = None, idempotency_key: RetryKey = None
 ) -> Response:
     """Find out whose mark is in the other's original. The operator may request this, or both owners: the first of them
     leaves a consent (409), the second starts the job."""
@@ -69,7 +69,7 @@ async def dispute(
 
 
 @router.get("/{dispute_id}", operation_id="getDispute", responses=OF_OWN)
-def get_dispute(dispute_id: str, core: Core, caller: Reader) -> Settled:
+def get_dispute(dispute_id: str, core: Core, caller: Party) -> Settled:
     """A settled dispute, for both owners and the operator."""
     result = _found(core, caller, dispute_id)
     words = dispute_words(result["document"]["finding"])
@@ -86,7 +86,7 @@ def get_dispute(dispute_id: str, core: Core, caller: Reader) -> Settled:
         **OF_OWN,
     },
 )
-def get_dispute_report(dispute_id: str, core: Core, caller: Reader) -> Response:
+def get_dispute_report(dispute_id: str, core: Core, caller: Party) -> Response:
     """The dispute as one page to read, print and send."""
     result = _found(core, caller, dispute_id)
     return Response(dispute_page(result["document"]["finding"], result["jws"]), media_type="text/html")

@@ -62,7 +62,7 @@ class EmbedRequest(Asked):
     )
     format: Format | None = Field(None, description="Of the marked model; that of the upload if left out.")
     copy_name: str = Field("", max_length=100, description="Recipient: each copy has a mark of its own.")
-    label: str = Field("", max_length=200, description="For people.")
+    label: str = Field("", max_length=200, description="For people; the file's name if left out.")
     cameras_upload_id: str | None = Field(
         None,
         min_length=1,

@@ -58,11 +58,13 @@ Reader = Annotated[Caller, Depends(may("read"))]
 Embedder = Annotated[Caller, Depends(may("embed"))]
 Verifier = Annotated[Caller, Depends(may("verify"))]
 Uploader = Annotated[Caller, Depends(may("embed", "verify"))]
-Follower = Annotated[Caller, Depends(may("read", "embed", "verify"))]
+Follower = Annotated[Caller, Depends(may("read", "embed", "verify", OPERATOR))]
 """Sees what came of jobs: without `read`, of those that this very key asked for (`visible`)."""
 OriginalsReader = Annotated[Caller, Depends(may("originals"))]
 Admin = Annotated[Caller, Depends(may("admin"))]
 Operator = Annotated[Caller, Depends(may(OPERATOR))]
+Disputer = Annotated[Caller, Depends(may("verify", OPERATOR))]
+Party = Annotated[Caller, Depends(may("read", OPERATOR))]
 
 
 def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:

@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from service.clock import ago, now
+from service.clock import ago, now, seconds_until
 from service.db import Database, page
 from service.db.database import POSTGRES_CONNECT
-from service.db.schema import deliveries, jobs, webhooks
+from service.db.schema import ENDED, deliveries, jobs, webhooks
 from service.jobs.port import FINAL, Job, State
 from service.jobs.presence import Presence
 from service.problems import Problem
@@ -110,7 +110,7 @@ class DurableJobs:
         # Those at work come first in this numbering of a tenant's jobs: its first job that waits has so many before it.
         first = (jobs.c.state != State.RUNNING.value, *_ORDER)
         turn = sa.func.row_number().over(partition_by=jobs.c.tenant, order_by=first).label("turn")
-        known = sa.select(*_ORDER, jobs.c.state, turn).where(_OPEN).subquery()
+        known = sa.select(*_ORDER, jobs.c.state, turn).where(_OPEN & (jobs.c.created_at <= now())).subquery()
         queue = sa.select(known).where(known.c.state == State.QUEUED.value).subquery()
         place = sa.func.row_number().over(order_by=(queue.c.turn, queue.c.created_at, queue.c.id)).label("place")
         places = sa.select(queue.c.id, place).subquery()
@@ -275,14 +275,15 @@ class DurableJobs:
                 )
             return self._opened
 
-    def _next_of(self, tenant: str) -> tuple[str, int] | None:
-        """Id of the tenant's queued job that was asked for first, and how many of its jobs are at work."""
+    def _next_of(self, tenant: str) -> tuple[str, int, float] | None:
+        """Id of the tenant's queued job that was asked for first, how many of its jobs are at work, and in how many
+        seconds it is due."""
         at_work = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _RUNNING)
-        queued = sa.select(jobs.c.id, at_work.scalar_subquery().label("at_work"))
+        queued = sa.select(jobs.c.id, jobs.c.created_at, at_work.scalar_subquery().label("at_work"))
         with self._db.read() as connection:
             mine = queued.where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
             found = connection.execute(mine).first()
-        return None if found is None else (found.id, found.at_work)
+        return None if found is None else (found.id, found.at_work, seconds_until(found.created_at))
 
     def _due_before(self, time: str) -> Sequence[str]:
         """Ids of jobs that were asked for before that time and are at work, or the next of their tenant."""
@@ -304,9 +305,11 @@ class DurableJobs:
         except Exception as error:  # the row is what counts: `reconcile` makes up for it
             _log.warning("the next job of tenant %s is enqueued later: %s", tenant, error)
 
-    def _enqueue(self, job_id: str, at_work: int = 0) -> None:
-        """Once for each id; jobs of one priority run in their order of coming."""
+    def _enqueue(self, job_id: str, at_work: int = 0, seconds: float = 0.0) -> None:
+        """Once for each id, to be begun in so many seconds; jobs of one priority run in their order of coming."""
         options: Any = {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job_id, "priority": 1 + at_work}
+        if seconds > 0:
+            options["delay_seconds"] = seconds
         self.client().enqueue(options, job_id)
 
 
@@ -354,6 +357,7 @@ def _announce(connection: sa.Connection, job_id: str) -> None:
     """What the end of a job, in its own transaction, adds to the messages of its tenant's webhooks."""
     told = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
     told = told.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
+    told = told.where(webhooks.c.events.contains(ENDED))
     connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], told))
 
 

@@ -41,7 +41,7 @@ class Job:
     cancelling: bool = False  # cancellation was asked for
     attempts: int = 0  # begun so often; a worker that holds an older number has lost the job
     tries: int = 0  # of these, at the present step; those that a shut-down ended do not count
-    created_at: str = ""  # UTC, ISO 8601; empty while not yet, like the next two
+    created_at: str = ""  # UTC, ISO 8601; empty while not yet, like the next two. Nothing begins before
     started_at: str = ""
     finished_at: str = ""
 

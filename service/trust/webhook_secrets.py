@@ -7,7 +7,7 @@ import sqlalchemy as sa
 
 from service.clock import now
 from service.db import Database, missing
-from service.db.schema import deliveries, webhooks
+from service.db.schema import ENDED, FOUND, deliveries, webhooks
 from service.problems import Problem
 from service.trust import audit
 from service.trust.master import VERSION, MasterKey, bind
@@ -15,7 +15,9 @@ from service.trust.master import VERSION, MasterKey, bind
 SECRET_BYTES = 32
 
 
-def add(db: Database, master: MasterKey, tenant: str, url: str, host: str, most: int) -> tuple[str, Any]:
+def add(
+    db: Database, master: MasterKey, tenant: str, url: str, host: str, most: int, events: str = f"{ENDED} {FOUND}"
+) -> tuple[str, Any]:
     """A new webhook's secret and row; budget-exceeded where the tenant has `most`.
 
     The log keeps the host alone: an address may have a secret of the receiver's in it.
@@ -27,6 +29,7 @@ def add(db: Database, master: MasterKey, tenant: str, url: str, host: str, most:
         if connection.execute(mine).scalar_one() >= most:
             raise Problem("budget-exceeded", f"a tenant has at most {most} webhooks: delete one")
         values = {"id": name, "tenant": tenant, "url": url, "created_at": made, "version": VERSION, "sealed": sealed}
+        values["events"] = events
         connection.execute(webhooks.insert().values(values))
         audit.append(connection, tenant, "webhook.made", {"host": host}, name)
         row = connection.execute(sa.select(webhooks).where(webhooks.c.id == name)).one()

@@ -10,8 +10,6 @@ from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
 
 from engine.watermark.statistics import CHANCE_RATE
 from service.core import Service
-from service.db import own
-from service.db.schema import assets
 from service.http.access import Core, Verifier
 from service.http.budgets import spend
 from service.http.forms import Asked, Files, form_schema, read_form
@@ -114,8 +112,7 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
-            own(core.db, assets, caller.tenant, body.asset_id)
-            spend_subject(core, body.asset_id)
+            spend_subject(core, caller.tenant, body.asset_id)
         return {**asked, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
     return submit(core, caller, "verify", retry_key, {"verify": asked}, make)

@@ -22,13 +22,13 @@ from service.client.webhooks import HEADER, signature
 from service.clock import ago, now
 from service.core import Service
 from service.db import Database
-from service.db.schema import deliveries, jobs, webhooks
+from service.db.schema import ENDED, FOUND, deliveries, jobs, notices, webhooks
 from service.http.job_responses import view
+from service.http.results import notice_of
 from service.jobs.durable_jobs import job_of
 from service.trust.webhook_secrets import secret_of
 from service.webhooks.sending import DELIVERED, send
 
-EVENT = "job.ended"
 POLL_SECONDS = 1.0
 LEASE_SECONDS = 60.0
 AT_ONCE = 32
@@ -89,13 +89,19 @@ async def _deliver(service: Service, row: Any) -> None:
 
 
 def _message(service: Service, row: Any) -> tuple[str, bytes, dict[str, str]] | None:
-    """Address, body and headers; None where job or webhook are gone."""
+    """Address, body and headers; None where webhook, or job and notice, are gone."""
     with service.db.read() as connection:
         webhook = connection.execute(sa.select(webhooks).where(webhooks.c.id == row.webhook)).first()
         job = connection.execute(sa.select(jobs).where(jobs.c.id == row.job)).first()
-    if webhook is None or job is None:
+        notice = connection.execute(sa.select(notices).where(notices.c.id == row.job)).first()
+    if webhook is None:
         return None
-    told = {"event": EVENT, "at": job.finished_at, "job": view(job_of(job)).model_dump()}
+    if job is not None:
+        told = {"event": ENDED, "at": job.finished_at, "job": view(job_of(job)).model_dump()}
+    elif notice is not None:
+        told = {"event": FOUND, "at": notice.created_at, "notice": notice_of(notice).model_dump()}
+    else:
+        return None
     body = json.dumps(told, ensure_ascii=False).encode()
     signed = signature(secret_of(service.master, webhook), int(time.time()), body)
     agent = f"mark3dgs/{version('mark3dgs')}"

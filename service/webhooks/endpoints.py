@@ -1,10 +1,10 @@
-"""/v1/webhooks: addresses that receive a message when a tenant's jobs end."""
+"""/v1/webhooks: addresses that receive a message when a tenant's jobs end, or a mark of it is found."""
 
 from typing import Annotated, Any, Literal
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Response
-from pydantic import BaseModel, ConfigDict, Field, HttpUrl, JsonValue
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, HttpUrl, JsonValue
 
 from service.claims.schema import Url
 from service.core import Service
@@ -18,8 +18,8 @@ from service.trust import webhook_secrets as registry
 from service.webhooks.sending import is_public
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
-Events = Annotated[list[Literal["job.ended"]], Field(min_length=1, max_length=1)]
-_EXAMPLE: JsonValue = {"url": "https://studio.example/mark3dgs", "events": ["job.ended"]}
+Events = Annotated[list[Literal["job.ended", "mark.found"]], Field(min_length=1, max_length=2)]
+_EXAMPLE: JsonValue = {"url": "https://studio.example/mark3dgs", "events": ["job.ended", "mark.found"]}
 
 
 class NewWebhook(Asked):
@@ -27,7 +27,7 @@ class NewWebhook(Asked):
 
     model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
     url: Url = Field(description="https, on the open network.")
-    events: Events = Field(["job.ended"])
+    events: Events = Field(["job.ended", "mark.found"])
 
 
 class WebhookView(BaseModel):
@@ -36,7 +36,7 @@ class WebhookView(BaseModel):
     model_config = ConfigDict(from_attributes=True)
     id: str
     url: str
-    events: Events = ["job.ended"]
+    events: Annotated[Events, BeforeValidator(lambda text: text.split() if isinstance(text, str) else text)]
     created_at: Time
     waiting: int = Field(0, description="Messages that are still to be delivered.")
     last_at: Time | None = Field(description="Of the last try.")
@@ -63,14 +63,17 @@ class WebhookList(BaseModel):
     responses=responses("malformed-request", "unauthorized", "forbidden", "invalid-request", "budget-exceeded"),
 )
 def create_webhook(body: NewWebhook, core: Core, caller: Admin, response: Response) -> MadeWebhook:
-    """Send a signed message (POST) to an address at the end of every job of this tenant.
+    """Send a signed message (POST) to an address at the end of every job of this tenant, and when a mark of yours is
+    found in another account's upload.
 
-    The body is `{"event": "job.ended", "at": time, "job": the job}`, the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`
+    The body is `{"event": "job.ended", "at": time, "job": the job}`, or `{"event": "mark.found", "at": time,
+    "notice": the notice}`; the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`
     with the HMAC-SHA256 of `SECONDS.BODY`. Any answer of 2xx is taken as received; else it comes again, eight times
     in 21 hours. The same message may come twice.
     """
     host = _host(core, body.url)
-    secret, row = registry.add(core.db, core.master, caller.tenant, str(body.url), host, core.settings.webhooks)
+    most, events = core.settings.webhooks, " ".join(dict.fromkeys(body.events))
+    secret, row = registry.add(core.db, core.master, caller.tenant, str(body.url), host, most, events)
     response.headers["Cache-Control"] = "no-store"
     return MadeWebhook.model_validate(row._asdict() | {"secret": secret})
 

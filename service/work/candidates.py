@@ -63,9 +63,10 @@ def find_marks(request: Request, folder: Path, progress: Progress) -> Reply:
     """
     suspect, config = Suspect(load_model(request).model), VerifyConfig(route="model")
     found = search(suspect, load_candidates(request), config, lambda stage, fraction: progress("screen", fraction))
+    names = ("log10_false_claim", "z", "copy_z", "copy_named")
     carries = [
-        {"asset": each.candidate.asset, "log10_false_claim": each.claim.log10_false_claim, "z": each.claim.z}
+        {"asset": each.candidate.asset} | {name: getattr(each.claim, name) for name in names}
         for each in found.outcomes
-        if each.claim is not None and each.marked
+        if each.marked
     ]
     return {"carries": carries}

@@ -12,6 +12,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.trace.candidates import Outcome
 from engine.flows.verify.search import Suspect, VerifyConfig
 from engine.present.checks import NO_RECORD, checks_of
+from engine.present.wording import recognizes
 from engine.usecases.suspect import ReadSuspect
 from engine.usecases.verify import VerifyAnswer, VerifyRequest, verify
 from engine.watermark.messages import message_hex
@@ -22,6 +23,8 @@ from service.work.inputs import load_cameras, load_model, load_pictures
 from service.work.pictures import draw_evidence
 from service.work.process import Progress, Reply, Request
 
+MOST_OTHERS = 20
+"""Assets beside the best one whose readings are handed out."""
 COULD_NOT_CHECK = "could_not_check"
 """Stands for a verdict where a record could not be opened."""
 
@@ -76,6 +79,7 @@ def verify_suspect(request: Request, folder: Path, progress: Progress) -> Reply:
             "pictures": len(suspect.pictures),
         },
         "tried": [_brief(outcome) for outcome in found.search.outcomes],
+        "others": _others(found),
         "seconds": time.perf_counter() - began,
         "seconds_by_stage": stages | {"picture": time.perf_counter() - started},
     }
@@ -90,6 +94,13 @@ def _brief(outcome: Outcome[Candidate]) -> Reply:
         "log10_false_claim": claim.log10_false_claim if claim is not None else None,
         "derived_fraction": claim.derived_fraction if claim is not None else None,
     }
+
+
+def _others(found: VerifyAnswer[Candidate]) -> list[Reply]:
+    """Claims of recognised assets but the best, those first that tell more."""
+    beside = sorted((each for each in found.search.outcomes if each is not found.best), key=lambda each: each.worth)
+    claims = [(each.candidate.asset, each.claim.to_json()) for each in reversed(beside) if each.claim is not None]
+    return [{"asset": asset, "claim": claim} for asset, claim in claims if recognizes(claim)][:MOST_OTHERS]
 
 
 def _report(found: VerifyAnswer[Candidate]) -> Reply:

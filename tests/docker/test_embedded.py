@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docker.conftest import EMBEDDED
+from tests.docker.conftest import EMBEDDED, another
 from tests.docker.images import run
 from tests.docker.stack import Client, Stack, kill, running, wait_for
 
@@ -46,7 +46,7 @@ def container(stack: Stack) -> str:
 @pytest.fixture(scope="module")
 def asset(client: Client, key: str, plant: bytes) -> str:
     """The plant, marked."""
-    job = client.end(client.start("embed", plant, key_id=key, profile="fast"))
+    job = client.end(client.start("embed", plant, key_id=key, profile="fast", copy_name="first"))
     assert job["state"] == "succeeded", job
     return str(job["result"]["asset_id"])
 
@@ -104,7 +104,7 @@ def test_kernels_come_from_the_image(client: Client, container: str, asset: str,
 
 
 def test_a_worker_killed_in_mid_job(stack: Stack, client: Client, container: str, key: str, plant: bytes) -> None:
-    job = client.start("embed", plant, key_id=key, copy_name="worker killed")
+    job = client.start("embed", another(plant, 1), key_id=key, copy_name="worker killed")
     client.middle(job)
     worker = stack.process(container, "service.cli worker")
     kill(worker)
@@ -114,7 +114,7 @@ def test_a_worker_killed_in_mid_job(stack: Stack, client: Client, container: str
 
 
 def test_the_container_killed_in_mid_job(stack: Stack, client: Client, container: str, key: str, plant: bytes) -> None:
-    job = client.start("embed", plant, key_id=key, copy_name="container killed")
+    job = client.start("embed", another(plant, 2), key_id=key, copy_name="container killed")
     client.middle(job)
     before = stack.inspect(container)
     kill(before["State"]["Pid"])
@@ -131,7 +131,7 @@ def test_work_that_outgrows_the_memory_fails_alone(
     limit = str(before["HostConfig"]["Memory"])
     run("docker", "update", f"--memory={SMALL_MEMORY}", f"--memory-swap={SMALL_MEMORY}", container)
     try:
-        job = client.end(client.start("embed", plant, key_id=key, copy_name="out of memory"))
+        job = client.end(client.start("embed", another(plant, 3), key_id=key, copy_name="out of memory"))
         assert job["state"] == "failed"
         assert job["problem"]["type"].endswith(":engine-limit"), job
         assert client.get("/healthz").status_code == 200

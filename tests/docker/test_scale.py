@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.docker.conftest import HERE, SCALE
+from tests.docker.conftest import HERE, SCALE, another
 from tests.docker.images import run
 from tests.docker.stack import ROOT, Client, Stack, kill, running, wait_for
 
@@ -58,7 +58,7 @@ def test_the_secrets_are_in_no_configuration(stack: Stack) -> None:
 
 
 def test_a_worker_that_never_comes_back(client: Client, stack: Stack, key: str, plant: bytes) -> None:
-    job = client.start("embed", plant, key_id=key, copy_name="worker gone")
+    job = client.start("embed", another(plant, 1), key_id=key, copy_name="worker gone")
     client.middle(job)
     busy = _busy(stack, job)
     run("docker", "kill", busy)  # the restart policy takes that for the user's wish
@@ -68,7 +68,7 @@ def test_a_worker_that_never_comes_back(client: Client, stack: Stack, key: str, 
 
 
 def test_a_worker_killed_comes_back_by_itself(client: Client, stack: Stack, key: str, plant: bytes) -> None:
-    job = client.start("embed", plant, key_id=key, copy_name="worker killed")
+    job = client.start("embed", another(plant, 2), key_id=key, copy_name="worker killed")
     client.middle(job)
     busy = _busy(stack, job)
     kill(stack.inspect(busy)["State"]["Pid"])
@@ -79,7 +79,7 @@ def test_a_worker_killed_comes_back_by_itself(client: Client, stack: Stack, key:
 def test_the_database_cut_off_in_mid_job(client: Client, stack: Stack, key: str, plant: bytes) -> None:
     (database,) = stack.containers("postgres")
     network = f"{stack.project}_backend"
-    job = client.start("embed", plant, key_id=key, copy_name="database cut")
+    job = client.start("embed", another(plant, 3), key_id=key, copy_name="database cut")
     client.middle(job)
     run("docker", "network", "disconnect", network, database)
     try:
@@ -96,7 +96,7 @@ def test_the_database_cut_off_in_mid_job(client: Client, stack: Stack, key: str,
 
 def test_the_database_killed_in_mid_job(client: Client, stack: Stack, key: str, plant: bytes) -> None:
     (database,) = stack.containers("postgres")
-    job = client.start("embed", plant, key_id=key, copy_name="database killed")
+    job = client.start("embed", another(plant, 4), key_id=key, copy_name="database killed")
     client.middle(job)
     kill(stack.inspect(database)["State"]["Pid"])
     assert _succeeded(client.end(job))

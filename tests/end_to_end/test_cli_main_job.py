@@ -31,10 +31,12 @@ VERIFY_KEYS = {
     "confidence",
     "log10_false_claim",
     "z",
-    "message",
     "bits",
+    "registered_bits",
+    "matching",
     "bit_accuracy",
-    "bit_reliability",
+    "reliability",
+    "strength",
     "derived",
     "derived_fraction",
     "derivation",
@@ -72,9 +74,9 @@ def test_marked_is_exit_code_0(marked: Marked, capsys: Capsys) -> None:
     code, claim = marked.verify(capsys, marked.model)
     assert code == 0
     assert claim.keys() >= VERIFY_KEYS
-    assert (claim["verdict"], claim["message"], claim["bit_accuracy"]) == ("marked", "c0ffee42", 1.0)
+    assert (claim["verdict"], claim["bits"]["hex"], claim["bit_accuracy"]) == ("marked", "c0ffee42", 1.0)
     assert (claim["route"], claim["copy"]) == ("model", "acme")
-    assert len(claim["bit_reliability"]) == 32
+    assert len(claim["reliability"]) == 32
     assert claim["log10_false_claim"] < -38.6
     assert claim["derived_fraction"] > 0.95
 

@@ -146,6 +146,14 @@ def test_the_map_is_orange_where_the_mark_is_and_says_when_nothing_is_claimed(sc
     assert add_legend(plain, replace(report, claimed=False)).height > add_legend(plain, report).height
 
 
+@pytest.mark.parametrize("width", [40, 200, 480, 900])
+def test_the_legend_is_whole_under_narrow_pictures(scene: MarkedScene, width: int) -> None:
+    report, _ = located(scene, scene.marked)
+    sheet = np.asarray(add_legend(Image.new("RGB", (width, 30)), report))
+    assert (sheet[30:, -4:] == 255).all(), "text runs into the border"
+    assert (sheet[30:] < 128).any()
+
+
 def test_nothing_found_is_an_empty_report(scene: MarkedScene) -> None:
     nothing = Evidence(*np.zeros((3, scene.opened.layout.chips)))
     found = verify(Suspect(scene.marked), scene.opened)

@@ -37,6 +37,7 @@ def closure(*extras: str) -> frozenset[str]:
     return frozenset(found)
 
 
+@cache
 def import_names(names: frozenset[str]) -> set[str]:
     """Top-level names that these distributions bring, where they are installed."""
     return {

@@ -147,6 +147,7 @@ from engine.flows.records.opened_record import open_record
 from engine.flows.verify.search import verify_images, verify_model
 from engine.flows.warmup.kernel_warmup import warm_up
 from engine.raster import render
+from engine.records.reference import decode_reference, encode_reference
 from engine.registration.sketch import SuspectIndex, make_sketch
 from engine.lab.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
@@ -172,6 +173,10 @@ for work in ("embed", "model", "pictures"):
         for suspect in (made.model, moved, merged):
             verify_model(suspect, opened)
             SuspectIndex(suspect).resemblance(make_sketch(made.model))
+        arrays = encode_reference(made.model.with_(sh=made.model.sh[:, :1]))
+        for array in arrays.values():
+            array.flags.writeable = False
+        decode_reference(arrays)
     else:
         verify_images([picture], opened)
         assert verify_images([picture], opened, cameras=opened.cameras[:1]).claim.z > 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,7 @@ LEAST_Z = {
 }
 
 
+@cache
 def evidence(name: str) -> np.ndarray:
     case = marked()
     alignment = align_image(case.plain, attack(name, case.image)[0])

@@ -39,7 +39,7 @@ def share_right(got: Registration, order: np.ndarray) -> tuple[float, float]:
     [
         pytest.param("bend 90", 0.3, marks=pytest.mark.long),
         pytest.param("squash 0.5", 0.6, marks=pytest.mark.long),
-        ("articulate 45", 0.2),
+        pytest.param("articulate 45", 0.2, marks=pytest.mark.long),
     ],
 )
 def test_deformed_real_scene(plant: ReferenceIndex, case: str, more: float) -> None:

@@ -12,6 +12,14 @@ from engine.raster import render
 _TRIAL_VIEWS = 6
 _TRIAL_SIZE = 72
 _TRIAL_GAUSSIANS = 40_000
+WHOLE, MARGIN = 0.998, 0.92
+"""Share of a model's visible centers that a view of it shows, within so much of the picture's half sides."""
+WIDEST = 0.6
+"""Least focal length in that of the rig: what lies farther out than this shows is far from the model."""
+BEHIND = 0.1
+"""A camera with a larger share of a model behind it stands in a room."""
+FAINT = -2.0
+"""Opacity logit below which a Gaussian's place counts for nothing."""
 SAME_SHAPE = 0.02
 """Ratios of sides that differ by less are of one picture, made smaller."""
 SURE_CORRELATION = 0.95
@@ -29,7 +37,7 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
     wider = 0.5 * np.log(len(model) / len(thin))
     thin = thin.with_(log_scales=thin.log_scales + np.float32(wider))
     short = min(width, height)  # a rig fits the model to the width of its pictures
-    rig = [_widened(camera, width, height) for camera in make_rig(thin, _TRIAL_VIEWS, short, short)]
+    rig = [_reshaped(camera, width, height) for camera in make_rig(thin, _TRIAL_VIEWS, short, short)]
     shrink = _TRIAL_SIZE / max(width, height)
     scores = []
     for camera in rig:
@@ -37,10 +45,28 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
         image = np.clip(render(thin, small, 0.5), 0.0, 1.0)
         filled = (np.abs(image - 0.5).max(axis=2) > 0.02).mean()
         scores.append(float(filled) + float(image.std()))
-    return rig[int(np.argmax(scores))]
+    return _whole(thin, rig[int(np.argmax(scores))])
 
 
-def _widened(camera: Camera, width: int, height: int) -> Camera:
+def _whole(model: GaussianModel, camera: Camera) -> Camera:
+    """The camera with a focal length at which it shows all of an object; of a room it is left as it is."""
+    seen = model.means[model.opacity_logits > FAINT].astype(np.float64)
+    x, y, z = (seen @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
+    if not len(z) or (z <= 0).mean() > BEHIND:
+        return camera
+    x, y, z = x[z > 0], y[z > 0], z[z > 0]
+    across = np.maximum(camera.K[0, 0] * abs(x) / camera.width, camera.K[1, 1] * abs(y) / camera.height) / z
+    return widened(camera, max(WIDEST, min(1.0, 0.5 * MARGIN / float(np.quantile(across, WHOLE)))))
+
+
+def widened(camera: Camera, factor: float) -> Camera:
+    """The camera with so many times the focal length."""
+    K = camera.K.copy()
+    K[0, 0], K[1, 1] = factor * K[0, 0], factor * K[1, 1]
+    return Camera(camera.viewmat, K, camera.width, camera.height)
+
+
+def _reshaped(camera: Camera, width: int, height: int) -> Camera:
     K = camera.K.copy()
     K[0, 2], K[1, 2] = width / 2, height / 2
     return Camera(camera.viewmat, K, width, height)

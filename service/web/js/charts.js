@@ -17,15 +17,18 @@ export function scale(log10, limits, said) {
   return h("div", { class: `scale ${log10 <= limits[0].log10 ? "met" : "unmet"}`, role: "img", "aria-label": label }, bar, ...marks);
 }
 
-/** One cell for each bit: filled where it is 1, faint where it is unsure, struck where it differs. */
-export function bits({ hex, registered, bits: length, reliability }, said) {
-  const digits = (text) => [...text].flatMap((digit) => [...parseInt(digit, 16).toString(2).padStart(4, "0")]).slice(0, length);
-  const [read, meant] = [digits(hex), digits(registered)];
-  const cells = read.map((bit, k) => {
-    const cell = h("i", { class: `${bit === "1" ? "one" : "zero"}${bit === meant[k] ? "" : " wrong"}`,
-      title: `bit ${k + 1}: ${bit}, registered ${meant[k]}, read right with probability ${reliability[k].toFixed(3)}` });
-    cell.style.setProperty("--sure", Math.max(0.15, 2 * reliability[k] - 1));
-    return cell;
+/** The bits of a reading with their values: as registered, as read, and how surely. */
+export function bits({ bits: { string: read }, registered_bits: { string: meant }, reliability }, said) {
+  const cell = (bit, kind = "") => h("i", { class: `${bit === "1" ? "one" : "zero"} ${kind}` }, bit);
+  const columns = [...read].map((bit, k) => {
+    const sure = h("b", {});
+    sure.style.setProperty("--sure", Math.max(0, 2 * reliability[k] - 1));
+    const title = `bit ${k + 1}: read ${bit}, registered ${meant[k]}, read right with probability ${reliability[k].toFixed(3)}`;
+    return h("span", { title }, cell(meant[k]), cell(bit, bit === meant[k] ? "" : "wrong"), sure);
   });
-  return h("div", { class: "bits", role: "img", "aria-label": said }, cells);
+  const heads = h("span", { class: "heads" }, ["registered", "read", "reliability"].map((name) => h("i", {}, name)));
+  return h("div", {},
+    h("div", { class: "bits", role: "img", "aria-label": said }, heads, columns),
+    h("p", { class: "help" }, "Filled is 1, empty is 0, ? was not read; a red frame marks a bit that differs. Reliability",
+      " runs from empty (pure chance) to full (certain). The check used your record, which says where the bits are."));
 }

@@ -25,7 +25,8 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     pictures.element ? h("div", { class: "evidence" }, verdict, pictures.element) : verdict,
     claim.threshold ? section("sure", "False-claim probability", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
     h("p", { class: "help" }, claim.meaning.record_time),
-    claim.message ? section("message", "Message", summary, "message read", (said) => bits(claim.message, said)) : null,
+    claim.message ? section("message", "Message", summary, "message read",
+      (said) => summary.reading.bits && bits(summary.reading, said)) : null,
     h("dl", { class: "facts texts" },
       pictures.examined,
       claim.asset ? fact("marked model", link) : null,
@@ -35,7 +36,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     h("h2", {}, "Checks"),
     h("ul", { class: "checks" }, summary.checks.map(check)),
     h("p", { class: "help" }, claim.meaning.does_not_say),
-    files(claim), packForm(claim), share.element);
+    files(claim), packForm(claim, summary), share.element);
   const opened = () => {
     pictures.opened();
     share.opened();

@@ -96,7 +96,6 @@ function request() {
 
 /** Why a job that ended gave no asset. */
 export function refusal(job) {
-  if (job.state === "disputed") return { title: "This model is disputed", detail: job.result.text };
   const { title, detail, request_id: requestId } = job.problem ?? { title: "The job failed" };
   return { title, detail, requestId, job: job.id };
 }

@@ -3,9 +3,9 @@ import { download } from "./api.js";
 import { fresh, h } from "./dom.js";
 import { problemBox } from "./problem.js";
 
-/** A form that asks for what only the owner knows; nothing of it is kept. Null where nothing was recognised. */
-export function packForm(claim) {
-  if (claim.verdict === "inconclusive" && !claim.derivation?.derived) return null;
+/** A form that asks for what only the owner knows; nothing of it is kept. Null where there is nothing to ask for. */
+export function packForm(claim, { headline }) {
+  if (claim.verdict === "not_marked" || headline === "Not recognized") return null;
   const [copiesId, helpId, originalId, noteId] = ["copies", "help", "original", "note"].map((name) => fresh(`pack-${name}`));
   const copies = h("textarea", { id: copiesId, rows: 2, "aria-describedby": helpId, placeholder: "https://…" });
   const original = h("input", { id: originalId, type: "url", placeholder: "https://…" });

@@ -207,7 +207,8 @@ def test_who_may_share(service: Service, api: Api, stranger: Api, claim: str) ->
 
 
 def test_the_address_is_that_of_the_service(service: Service, api: Api, claim: str, monkeypatch: Any) -> None:
-    assert made(api, claim)["url"].startswith("http://testserver/shared/")
+    api.client.headers["Host"] = "evil.example"
+    assert made(api, claim)["url"].startswith("/shared/"), "a Host header is anybody's word"
     monkeypatch.setattr(service.settings, "public_url", "https://marks.example/")
     assert made(api, claim)["url"].startswith("https://marks.example/shared/")
 

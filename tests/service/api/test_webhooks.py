@@ -116,9 +116,12 @@ def test_the_operator_may_allow_his_own_network(api: Api, set_up: Callable[..., 
 
 
 def test_events_are_those_there_are(api: Api) -> None:
-    for events in ([], ["job.begun"], ["job.ended", "job.ended"]):
+    for events in ([], ["job.begun"], ["job.ended", "mark.found", "job.ended"]):
         assert api.client.post("/v1/webhooks", json=HOOK | {"events": events}).status_code == 422
-    assert api.client.post("/v1/webhooks", json={"url": HOOK["url"]}).json()["events"] == ["job.ended"]
+    assert api.client.post("/v1/webhooks", json={"url": HOOK["url"]}).json()["events"] == ["job.ended", "mark.found"]
+    some = api.client.post("/v1/webhooks", json=HOOK | {"events": ["mark.found"]}).json()
+    assert some["events"] == ["mark.found"]
+    assert [each["events"] for each in api.client.get("/v1/webhooks").json()["items"]][-1] == ["mark.found"]
 
 
 def test_for_administrators(service: Service, api: Api) -> None:

@@ -20,6 +20,8 @@ from tests.service.flow.commands import mark3dgs, token_of
 from tests.service.flow.test_main_job import SCENE
 from tests.service.serving import ROOT, Served
 
+pytestmark = pytest.mark.long
+
 
 @dataclass(frozen=True)
 class Before:

@@ -37,6 +37,7 @@ def postgres() -> Iterator[Postgres]:
     server.close()
 
 
+@pytest.mark.long
 def test_on_postgres_with_an_outage_in_mid_job(postgres: Postgres, tmp_path: Path) -> None:
     """The same code on the other database. While it is away: 503 for what needs it, and the job goes on after it."""
     served = serving.start(tmp_path, DATABASE_URL=postgres.new_database("mark"), WORKER_SILENCE_SECONDS="5")

@@ -28,7 +28,9 @@ SCENE = encode_model(read_model(ROOT / "tests" / "data" / "train_1000.ply").mode
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests here; the budget of near duplicates is small, and one test spends it."""
-    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4")
+    made = serving.start(
+        tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4", WATCH_MINUTES="0"
+    )
     yield made
     made.stop()
 
@@ -126,14 +128,25 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
     assert told["attested"]["by"].startswith("the log of the service")
 
 
-def test_a_stranger_cannot_mark_it_again(bob: Client, marked: Embedded, model: bytes) -> None:
-    """The classic deadlock of two owners: the later one is told, and learns nothing of the earlier."""
-    with pytest.raises(ServiceError, match="another party") as caught:
-        bob.embed(model, profile="fast")
-    assert caught.value.code == "disputed"
-    said = json.dumps(bob.call("GET", f"/v1/jobs/{caught.value.values['job']}"))
+def test_a_stranger_who_marks_it_again_learns_nothing_and_its_owner_is_told(
+    served: Served, alice: Client, bob: Client, marked: Embedded, model: bytes
+) -> None:
+    """What bob sees of alice's marked model is what he sees of one that is nobody's."""
+    answers = [bob.wait(bob.submit_embed(data, profile="fast").id) for data in (model, SCENE)]
+    assert [answer.state for answer in answers] == ["succeeded", "succeeded"]
+    told = [dict(answer.outcome()) for answer in answers]
+    fixed = [{name: answer[name] for name in ("already_carries", "not_screened", "review")} for answer in told]
+    assert fixed[0] == fixed[1]
+    assert told[0].keys() == told[1].keys()
+    said = json.dumps([bob.call("GET", f"/v1/jobs/{answer.id}") for answer in answers])
     assert not any(secret in said for secret in ("alice", "acme", marked.asset_id, marked.record_id))
-    assert bob.assets() == []
+    assert bob.notices() == []
+    until = time.monotonic() + 60
+    while not (notices := alice.notices(asset=marked.asset_id)):
+        assert time.monotonic() < until, served.log()
+        time.sleep(0.1)
+    assert [notice.uploaded_as for notice in notices] == [told[0]["asset_id"]]
+    assert notices[0].strength > 128
 
 
 @pytest.fixture(scope="module")

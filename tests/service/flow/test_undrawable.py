@@ -39,6 +39,7 @@ def test_it_is_refused_and_says_why(alice: Client, owner_key: str, tmp_path: Pat
     assert (caught.value.code, caught.value.status) == ("invalid-request", 422)
 
 
+@pytest.mark.long
 def test_a_stolen_model_behind_veils_is_claimed(
     alice: Client, raw: httpx.Client, owner_key: str, tmp_path: Path
 ) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import tarfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from service.client import Client, ServiceError
+from service.client import Client
 from tests.service import serving
 from tests.service.flow.commands import client_of, mark3dgs
 from tests.service.flow.test_main_job import SCENE
@@ -26,7 +27,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
             archive.extractall(folder, filter="data")
         else:  # Python before 3.11.4; the archive is ours
             archive.extractall(folder)
-    made = serving.start(folder, api_key=(folder / "api.key").read_text().strip())
+    made = serving.start(folder, api_key=(folder / "api.key").read_text().strip(), WATCH_MINUTES="0")
     yield made
     made.stop()
 
@@ -78,10 +79,17 @@ def test_a_model_marked_then_is_claimed(owner: Client, old: str, model: bytes) -
     assert owner.claim(found.claim_id).document["message"]["matching"] == 16
 
 
-def test_a_stranger_cannot_mark_it_again(served: Served, model: bytes) -> None:
+def test_its_owner_is_told_when_a_stranger_marks_it_again(
+    served: Served, owner: Client, old: str, model: bytes
+) -> None:
     """Records and sketches of then take part in the screening."""
-    with pytest.raises(ServiceError, match="another party"):
-        client_of(served, "stranger").embed(model, profile="fast", bits=16)
+    made = client_of(served, "stranger").embed(model, profile="fast", bits=16)
+    assert made.already_carries == []
+    until = time.monotonic() + 60
+    while not (notices := owner.notices()):
+        assert time.monotonic() < until, served.log()
+        time.sleep(0.1)
+    assert [(notice.asset_id, notice.uploaded_as) for notice in notices] == [(old, made.asset_id)]
 
 
 def test_new_marks_stand_beside_the_old(owner: Client, old: str, model: bytes, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from service.clock import ago, now
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from tests.service.jobs.conftest import Workshop
@@ -76,6 +77,22 @@ def test_places_in_the_queue(jobs: DurableJobs) -> None:
     everything = [job for tenant in "abc" for job in jobs.list(tenant)]
     assert jobs.positions(everything) == {"b1": 1, "c0": 2, "a1": 3, "a2": 4}, "who has one at work comes later"
     assert jobs.positions([job for job in everything if job.id == "a2"]) == {"a2": 4}, "others' jobs count"
+
+
+def test_what_is_not_due_waits_and_keeps_nobody_waiting(shop: Workshop) -> None:
+    """None begins before it is due, whatever was submitted first; until then it has no place before others."""
+    request = {"marks": str(shop.marks), "gate": str(shop.gate)}
+    for job_id, seconds in (("never", 3600.0), ("second", 4.0), ("first", 2.0), ("third", 4.5)):
+        shop.jobs.submit(Job(job_id, "own", "", "three", State.QUEUED, request, created_at=ago(-seconds / 3600)))
+    submit(shop, "t", "now", "after")
+    assert shop.jobs.positions(shop.jobs.list("t")) == {"now": 1, "after": 2}
+    shop.start("w1")
+    shop.wait(lambda: len(begun(shop)) == 5, 120)
+    waits, *begun_jobs = shop.jobs.list("own")
+    assert (waits.id, waits.state) == ("never", State.QUEUED)
+    assert {job.id for job in begun_jobs} == {"first", "second", "third"}
+    assert all(job.started_at >= job.created_at for job in begun_jobs)
+    assert now() < waits.created_at
 
 
 def test_what_was_cancelled_costs_no_turn(jobs: DurableJobs) -> None:

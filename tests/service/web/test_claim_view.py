@@ -131,7 +131,7 @@ def test_a_claim_can_be_on_the_page_twice(page: Page) -> None:
           const { packForm } = await import("/static/js/pack.js");
           const { shareForm } = await import("/static/js/share.js");
           const claim = { claim_id: "cl_1", verdict: "marked" };
-          const all = [packForm(claim), packForm(claim), shareForm(claim).element, shareForm(claim).element];
+          const all = [packForm(claim, {}), packForm(claim, {}), shareForm(claim).element, shareForm(claim).element];
           return all.flatMap((form) => [...form.querySelectorAll("[id]")].map((element) => element.id));
         }"""
     )

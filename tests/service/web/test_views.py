@@ -130,6 +130,7 @@ def test_api_pages_are_dark_where_that_is_wanted(browser: Browser, served: Serve
     page.close()
 
 
+@pytest.mark.long
 def test_api_pages_draw_themselves(browser: Browser, served: Served) -> None:
     page = browser.new_page()
     asked: list[str] = []

@@ -16,9 +16,10 @@ from service.client import check_webhook
 from service.clock import ago, now
 from service.core import Service
 from service.db import Database
-from service.db.schema import deliveries, jobs, webhooks
+from service.db.schema import assets, deliveries, jobs, webhooks
+from service.embeds.watch import NOBODY, watch_flow
 from service.jobs.durable_jobs import DurableJobs
-from service.jobs.port import Job, State
+from service.jobs.port import Job, Run, State
 from service.settings import Settings
 from service.trust import webhook_secrets as registry
 from service.trust.master import MasterKey
@@ -73,9 +74,11 @@ def deliver(service: Service) -> int:
 
 
 def test_the_end_of_a_job_is_told_signed(own: Service, receivers: Receivers) -> None:
-    receiver, stranger = receivers(), receivers()
+    receiver, stranger, marks_alone = receivers(), receivers(), receivers()
     name, secret = add(own, receiver)
     _, other = add(own, stranger, "stranger")
+    another, _ = add(own, marks_alone)
+    own.db.change(sa.update(webhooks).where(webhooks.c.id == another).values(events="mark.found"))
     ended(own, "job_1")
     assert deliver(own) == 1
     ((path, headers, body),) = receiver.got
@@ -94,11 +97,32 @@ def test_the_end_of_a_job_is_told_signed(own: Service, receivers: Receivers) -> 
     assert headers["content-type"] == "application/json"
     assert set(json.loads(body)) == {"event", "at", "job"}
     assert secret.encode() not in body
-    assert stranger.got == []
+    assert stranger.got == marks_alone.got == []
     assert (left(own.db), deliver(own)) == ({}, 0)
     row = state(own.db, name)
     assert (row.last_status, row.last_outcome) == (204, "delivered")
     assert row.last_at <= now()
+
+
+def test_a_mark_that_was_found_is_told_to_those_who_asked_for_it(own: Service, receivers: Receivers) -> None:
+    receiver, jobs_alone = receivers(), receivers()
+    _, secret = add(own, receiver)
+    name, _ = add(own, jobs_alone)
+    own.db.change(sa.update(webhooks).where(webhooks.c.id == name).values(events="job.ended"))
+    with own.db.write() as connection:
+        row = dict.fromkeys((column.name for column in assets.columns), "x") | {"id": "as_1", "tenant": "acme"}
+        connection.execute(assets.insert().values(row | {"gaussians": 1}))
+    found = {"asset": "as_1", "z": 99.0, "log10_false_claim": -2000.0, "copy_z": None, "copy_named": None}
+    job = Job("watch_as_2", NOBODY, "", "watch", State.RUNNING, {"asset": "as_2"})
+    for _ in range(2):
+        watch_flow(own)[1].do(Run(job, {"watch": {"carries": [found]}}))
+    assert deliver(own) == 1
+    ((_, headers, body),) = receiver.got
+    event = check_webhook(secret, headers["mark3dgs-signature"], body)
+    assert (event.event, event.job) == ("mark.found", None)
+    assert event.notice is not None
+    assert (event.notice.asset_id, event.notice.uploaded_as, event.at) == ("as_1", "as_2", event.notice.created_at)
+    assert jobs_alone.got == []
 
 
 @pytest.fixture(params=["sqlite", "postgres"])

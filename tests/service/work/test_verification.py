@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,9 @@ from engine.lab.sim.attacks import model_attack
 from engine.raster import render
 from engine.usecases.files import write_picture
 from service.problems import Problem
+from service.work import verification
+from tests.service.claims.cases import reply as reply_of
+from tests.service.claims.test_searched import unrelated
 from tests.service.work.conftest import FOREIGN, Ask, Marked, checks
 
 FIVE = ["record_intact", "owner_key", "derived", "mark", "evidence"]
@@ -98,7 +103,23 @@ def test_stopping_at_the_first_is_a_choice(verify: Ask, marked: Marked) -> None:
     late = verify(model=model, candidates=candidates, route="model", stop_at_first=False)
     assert [each["asset"] for each in soon["tried"]] == ["one"]
     assert [each["asset"] for each in late["tried"]] == ["one", "two"]
+    assert sorted([late["asset"], *(each["asset"] for each in late["others"])]) == ["one", "two"]
     assert soon["claim"]["tries"] == late["claim"]["tries"] == 12  # the bar was set before either was looked at
+
+
+def test_what_was_not_recognized_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is read of it but noise. The rest follow by what they tell, as many as are handed out."""
+    monkeypatch.setattr(verification, "MOST_OTHERS", 2)
+    found, nothing = reply_of("inconclusive")["claim"], unrelated()["claim"]
+    claims = {"first": found, "less": found, "more": found, "least": found, "strange": nothing}
+    outcomes = [
+        SimpleNamespace(
+            candidate=SimpleNamespace(asset=name), worth=worth, claim=SimpleNamespace(to_json=lambda c=claim: c)
+        )
+        for (name, claim), worth in zip(claims.items(), (9, 3, 4, 2, 5), strict=True)
+    ]
+    answer: Any = SimpleNamespace(search=SimpleNamespace(outcomes=outcomes), best=outcomes[0])
+    assert [each["asset"] for each in verification._others(answer)] == ["more", "less"]
 
 
 def test_without_candidates_there_is_nothing_to_say(verify: Ask) -> None:
@@ -140,10 +161,12 @@ def test_the_map_is_the_engines_and_the_claim_counts_its_regions(verify: Ask, ma
     said = verify(model=str(marked.path("model")))["regions"]
     assert said["marked"] > 10
     assert (said["altered"], said["unclear"], said["unseen"], said["pieces"]) == (0, 0, 0, 1)
-    orange = np.asarray(Image.open(tmp_path / "heatmap.png"), dtype=np.int64)
-    assert (orange[..., 0] > 2 * orange[..., 2] + 20).mean() > 0.1
+    drawn = np.asarray(Image.open(tmp_path / "heatmap.png"), dtype=np.int64)[:480]  # the map; its legend follows
+    orange = drawn[..., 0] > 2 * drawn[..., 2] + 20
+    assert orange.mean() > 0.05
+    assert orange.sum() > 0.7 * (drawn.min(axis=2) < 200).sum(), "of what is not paper"
     unmarked = verify(model=str(marked.original))["regions"]
     assert unmarked["marked"] == 0
     assert unmarked["altered"] > 0.95 * said["marked"]
-    drawn = np.asarray(Image.open(tmp_path / "heatmap.png"), dtype=np.int64)
-    assert (drawn[:480, :, 0] > 2 * drawn[:480, :, 2] + 20).mean() < 1e-3
+    drawn = np.asarray(Image.open(tmp_path / "heatmap.png"), dtype=np.int64)[:480]
+    assert (drawn[..., 0] > 2 * drawn[..., 2] + 20).mean() < 1e-3

@@ -1,0 +1,69 @@
+"""Watching for owners: after an upload was marked, a job of the service's own looks for other owners' marks in it.
+
+The uploader's job has ended by then, so nothing that its answer holds, and no time that it took, depends on what is
+found. Nor does how long the uploader's next job waits for a worker: when this one runs is drawn. Nothing is written
+into the audit log, whose size every claim shows.
+"""
+
+import json
+from itertools import groupby
+from random import SystemRandom
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.clock import ago, now
+from service.core import Service
+from service.db.schema import FOUND, assets, deliveries, notices, webhooks
+from service.embeds.screening import carried, choose, resembling
+from service.jobs.port import Ending, Flow, Job, Run, State, Step
+from service.processes import Reply
+
+NOBODY = ""
+"""Tenant of these jobs: no API key sees them."""
+
+
+def watch(service: Service, job: Job, asset_id: str) -> None:
+    """Have what an embed job marked looked at; twice is once."""
+    asked = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
+    asked["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
+    hours = SystemRandom().uniform(0.0, service.settings.watch_minutes / 60.0)
+    service.jobs.submit(Job(f"watch_{asset_id}", NOBODY, "", "watch", State.QUEUED, asked, created_at=ago(-hours)))
+
+
+def watch_flow(service: Service) -> Flow:
+    """Steps of such a job."""
+    return (Step("watch", lambda run: _look(service, run)), Step("commit", lambda run: _tell(service, run)))
+
+
+def _look(service: Service, run: Run) -> Reply:
+    """No owner key enters a process that reads the upload."""
+    asked = run.job.request
+    model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
+    alike = resembling(service, run, model, assets.c.tenant != asked["tenant"])
+    chosen = choose(alike)
+    return {"carries": carried(service, run, chosen), "not_screened": len(alike) - len(chosen)}
+
+
+def _tell(service: Service, run: Run) -> Ending:
+    """One notice for each original that was recognised, about the copy that says most; and its owner's webhooks."""
+    found = {each["asset"]: each for each in run.results["watch"]["carries"]}
+    with service.db.write() as connection:
+        rows = connection.execute(sa.select(assets).where(assets.c.id.in_(found))).all()
+        rows = sorted(rows, key=lambda row: (row.tenant, row.original_sha256, -_worth(found[row.id])))
+        told = [next(copies) for _, copies in groupby(rows, key=lambda row: (row.tenant, row.original_sha256))]
+        for number, row in enumerate(told):
+            notice = f"no_{run.job.request['asset'].removeprefix('as_')}_{number}"
+            if connection.execute(sa.select(notices.c.id).where(notices.c.id == notice)).first() is None:
+                values = {"id": notice, "tenant": row.tenant, "asset": row.id, "created_at": now()}
+                values |= {"upload": run.job.request["asset"], "finding": json.dumps(found[row.id])}
+                connection.execute(notices.insert().values(values))
+                due = sa.select(webhooks.c.id, sa.literal(notice), sa.literal(now()), sa.literal(0))
+                due = due.where(webhooks.c.tenant == row.tenant, webhooks.c.events.contains(FOUND))
+                connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], due))
+    return {"state": State.SUCCEEDED, "result": {"notices": len(told)}}
+
+
+def _worth(found: Any) -> float:
+    """A copy that is named by itself says most."""
+    return float(found.get("copy_z") or 0.0)
