@@ -11,6 +11,8 @@ from engine.model import Float32
 
 MAX_PICTURE_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded: no screen or phone makes them."""
+MAX_PIXELS_TOGETHER = 200_000_000
+"""Of all pictures of one suspect: 2.4 GB in memory."""
 
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 

@@ -4,13 +4,14 @@ import asyncio
 import hashlib
 import json
 import shutil
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from starlette.datastructures import UploadFile
 from starlette.requests import ClientDisconnect
 
+from engine.formats.image_files import MAX_PIXELS_TOGETHER
 from service.blobs import digest_of
 from service.core import Service
 from service.http.forms import check_text
@@ -78,32 +79,42 @@ async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
         if row.size is not None and got.length < room:
             return await asyncio.to_thread(store.add_part, service, row, path, got) if got.length else row
         row = await asyncio.to_thread(store.complete, service, row, path, got)
-    return await asyncio.to_thread(inspect, service, row)
+    (looked_at,) = await asyncio.to_thread(inspect, service, [row])
+    return looked_at
 
 
-def inspect(service: Service, row: Any) -> Any:
-    """The row with what the file is. What takes too long to say is left to the job.
+def inspect(service: Service, rows: Sequence[Any]) -> list[Any]:
+    """The rows of new uploads with what their files are: of pictures what their headers say, all in one process.
 
-    Where it is unreadable-model and the like, the upload is dropped.
+    What takes too long to say is left to the job. Where one is unreadable-model and the like, all are dropped.
     """
+    infos: dict[str, dict[str, Any]] = {}
     with task_folder(service.settings) as folder:
-        path = service.blobs.local(row.sha256, folder)
-        kind = store.kind_of(path, row.name)
-        if row.size > INSPECTED_BYTES:
-            return store.note(service, row, {"kind": kind})
-        request = {kind: str(path), "spz_frame": "auto"}
-        task = "inspect" if kind == "model" else kind
+        paths = {row.id: service.blobs.local(row.sha256, folder) for row in rows}
+        kinds = {row.id: store.kind_of(paths[row.id], row.name) for row in rows}
+        pictures = [row for row in rows if kinds[row.id] == "picture"]
+        others = [row for row in rows if kinds[row.id] != "picture" and row.size <= INSPECTED_BYTES]
         try:
-            found = run_once(service.settings, task, request, folder, service.settings.inspect_seconds, row.tenant)
+            if pictures:
+                asked = {"pictures": [str(paths[row.id]) for row in pictures]}
+                found = _look(service, "pictures", asked, folder, rows[0].tenant).get("pictures", [{}] * len(pictures))
+                infos |= {row.id: size for row, size in zip(pictures, found, strict=True)}
+            for row in others:
+                asked = {kinds[row.id]: str(paths[row.id]), "spz_frame": "auto"}
+                task = "inspect" if kinds[row.id] == "model" else "cameras"
+                infos[row.id] = _look(service, task, asked, folder, row.tenant)
         except Problem as problem:
             if problem.status < 500:
-                store.drop(service, row)
+                for row in rows:
+                    store.drop(service, row)
             raise
-        if found is None:
-            return store.note(service, row, {"kind": kind})
     names = ("format", "gaussians", "sh_degree", "repairs", "width", "height", "cameras")
-    info = {"kind": kind, **{name: found[name] for name in names if name in found}}
-    return store.note(service, row, info)
+    told = {key: {name: info[name] for name in names if name in info} for key, info in infos.items()}
+    return [store.note(service, row, {"kind": kinds[row.id], **told.get(row.id, {})}) for row in rows]
+
+
+def _look(service: Service, task: str, asked: Mapping[str, Any], folder: Path, tenant: str) -> Mapping[str, Any]:
+    return run_once(service.settings, task, asked, folder, service.settings.inspect_seconds, tenant) or {}
 
 
 def gather(
@@ -114,16 +125,21 @@ def gather(
     conflict where an upload is not complete, unreadable-... where it is no model, picture or cameras as `kind` says.
     """
     rows = [_whole(service, caller, upload_id) for upload_id in upload_ids]
-    rows += [_take(service, caller, file) for file in files]
-    for row in rows:
-        found = json.loads(row.info)["kind"] if row.info else kind
-        if found != kind:
+    if files:
+        rows += inspect(service, [_take(service, caller, file) for file in files])
+    infos = [json.loads(row.info) if row.info else {} for row in rows]
+    for row, info in zip(rows, infos, strict=True):
+        if (found := info.get("kind", kind)) != kind:
             raise Problem(WRONG_KIND[kind], f"upload {row.id!r} is no {kind}: its bytes are those of a {found} file")
+    together = sum(info.get("width", 0) * info.get("height", 0) for info in infos)
+    if together > MAX_PIXELS_TOGETHER:
+        text = f"the pictures have {together:,} pixels together, more than {MAX_PIXELS_TOGETHER:,}"
+        raise Problem("unreadable-image", text)
     return rows
 
 
 def _take(service: Service, caller: Caller, file: UploadFile) -> Any:
-    """The row of the upload that a form's file became."""
+    """The row of the upload that a form's file became; nothing is known of it yet."""
     try:
         name = check_text(PurePosixPath((file.filename or "").replace("\\", "/")).name[:200])
     except ValueError as error:
@@ -133,7 +149,7 @@ def _take(service: Service, caller: Caller, file: UploadFile) -> Any:
             shutil.copyfileobj(file.file, target, _CHUNK)
         size = path.stat().st_size
         row = store.create(service, caller, name, size or None, None)
-        return inspect(service, store.complete(service, row, path, Received(size, digest_of(path), whole=True)))
+        return store.complete(service, row, path, Received(size, digest_of(path), whole=True))
 
 
 def _whole(service: Service, caller: Caller, upload_id: str) -> Any:

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from engine.scenes.scene_files import encode_scene, notes_of, written_as
-from service.work.inputs import load_cameras, load_model, load_pictures
+from service.work.inputs import load_cameras, load_model, picture_sizes
 from service.work.process import Progress, Reply, Request
 
 
@@ -22,11 +22,10 @@ def inspect(request: Request, folder: Path, progress: Progress) -> Reply:
     }
 
 
-def look_at_picture(request: Request, folder: Path, progress: Progress) -> Reply:
-    """Size of a picture."""
+def look_at_pictures(request: Request, folder: Path, progress: Progress) -> Reply:
+    """Sizes of pictures, as their headers say."""
     progress("read", 0.0)
-    height, width = load_pictures([request["picture"]])[0].shape[:2]
-    return {"width": width, "height": height}
+    return {"pictures": [{"width": width, "height": height} for width, height in picture_sizes(request["pictures"])]}
 
 
 def look_at_cameras(request: Request, folder: Path, progress: Progress) -> Reply:

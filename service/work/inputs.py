@@ -5,19 +5,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from PIL import Image
+from PIL import ExifTags, Image
 
 from engine.errors import CameraError, FormatError, InputError
 from engine.formats import read_cameras
-from engine.formats.image_files import MAX_PICTURE_PIXELS, is_picture, read_picture
+from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, is_picture, read_picture
 from engine.model import Camera, Float32
 from engine.scenes.scene_files import Loaded, read_scene
 from service.problems import Problem
 from service.work.process import Request
 
 MOST_PICTURES = 64
-MOST_PIXELS = 200_000_000
-"""Of all pictures together: 2.4 GB in memory."""
 
 
 def load_model(request: Request) -> Loaded:
@@ -33,17 +31,27 @@ def check_model(loaded: Loaded) -> None:
         raise Problem("unreadable-model", "the model holds no Gaussians")
 
 
-def load_pictures(paths: Sequence[str]) -> list[Float32]:
-    """1 to MOST_PICTURES pictures, each (H, W, 3) float32; "unreadable-image" names the picture by its number."""
+def picture_sizes(paths: Sequence[str]) -> list[tuple[int, int]]:
+    """Width and height of 1 to MOST_PICTURES pictures, as their headers say; "unreadable-image", which names the
+    picture by its number, where one is none, or they are too large to be read together."""
     if not 1 <= len(paths) <= MOST_PICTURES:
         raise Problem("invalid-request", f"1 to {MOST_PICTURES} pictures go together, got {len(paths)}")
     with warnings.catch_warnings():
         # We have a limit of our own, which refuses where this one only warns.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        together = sum(_pixels(Path(path), number) for number, path in enumerate(paths, start=1))
-        if together > MOST_PIXELS:
-            text = f"the pictures have {together:,} pixels together, more than {MOST_PIXELS:,}"
-            raise Problem("unreadable-image", text)
+        sizes = [_size(Path(path), number) for number, path in enumerate(paths, start=1)]
+    together = sum(width * height for width, height in sizes)
+    if together > MAX_PIXELS_TOGETHER:
+        text = f"the pictures have {together:,} pixels together, more than {MAX_PIXELS_TOGETHER:,}"
+        raise Problem("unreadable-image", text)
+    return sizes
+
+
+def load_pictures(paths: Sequence[str]) -> list[Float32]:
+    """Pictures, each (H, W, 3) float32; errors as `picture_sizes`."""
+    picture_sizes(paths)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         return [_read(Path(path), number) for number, path in enumerate(paths, start=1)]
 
 
@@ -62,12 +70,17 @@ def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] 
     return cameras
 
 
-def _pixels(path: Path, number: int) -> int:
+def _size(path: Path, number: int) -> tuple[int, int]:
     with _told_by_number(path, number):
         if not is_picture(path):
             raise Problem("unreadable-image", f"picture {number}: is no PNG, JPEG, WebP, AVIF, BMP, GIF or TIFF")
         with Image.open(path) as picture:
-            return picture.width * picture.height
+            if picture.width * picture.height > MAX_PICTURE_PIXELS:
+                size = f"{picture.width}x{picture.height}"
+                raise Problem("unreadable-image", f"picture {number}: {size} pixels, which is too large")
+            exif = picture.getexif() if "exif" in picture.info else {}  # of a PNG without, all would be decoded
+            lies = exif.get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
+            return picture.size[::-1] if lies else picture.size
 
 
 def _read(path: Path, number: int) -> Float32:

@@ -25,7 +25,7 @@ TASKS: Mapping[str, Task] = {
     "index": _task("screening", "index"),
     "inspect": _task("files", "inspect"),
     "marks": _task("candidates", "find_marks"),
-    "picture": _task("files", "look_at_picture"),
+    "pictures": _task("files", "look_at_pictures"),
     "screen": _task("screening", "screen"),
     "sign": _task("credentials", "sign_model"),
     "verify": _task("verification", "verify_suspect"),

@@ -83,7 +83,7 @@ def test_how_many_pictures_go_together(tmp_path: Path, monkeypatch: pytest.Monke
     for count in (0, 65):
         with pytest.raises(Problem, match=f"got {count}"):
             load_pictures([one] * count)
-    monkeypatch.setattr(inputs, "MOST_PIXELS", 2000)
+    monkeypatch.setattr(inputs, "MAX_PIXELS_TOGETHER", 2000)
     with pytest.raises(Problem, match="2,048 pixels together"):
         load_pictures([one] * 2)
 
