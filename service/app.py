@@ -14,8 +14,10 @@ from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
+from service.acquisitions.endpoints import router as acquisitions
 from service.assets.endpoints import router as assets
 from service.assets.resolution import router as credentials
+from service.claims.endpoints import packs
 from service.claims.endpoints import router as claims
 from service.claims.share_endpoints import router as shares
 from service.core import Service
@@ -28,6 +30,7 @@ from service.http.error_responses import install
 from service.http.middleware import BodyGuard, SafeHeaders
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me
+from service.settings import OPTIONAL_ROUTERS
 from service.tracking.endpoints import router as jobs
 from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
@@ -38,6 +41,26 @@ THREADS = 128
 DESCRIPTION = """Ownership watermarks for 3D Gaussian Splatting models: mark a model under a key, and later prove,
 with a bound on a false claim, whose mark a found model or screenshot carries. Extraction is informed: it uses the
 record that was made at embedding."""
+
+ROUTERS = (
+    ("me", me),
+    ("keys", keys),
+    ("uploads", uploads),
+    ("acquisitions", acquisitions),
+    ("embeds", embeds),
+    ("verifications", verifications),
+    ("disputes", disputes),
+    ("jobs", jobs),
+    ("assets", assets),
+    ("credentials", credentials),
+    ("claims", claims),
+    ("packs", packs),
+    ("shares", shares),
+    ("webhooks", webhooks),
+    ("notices", notices),
+    ("health", health),
+)
+"""In the order of the API's description."""
 
 PROBLEM = {
     "type": "object",
@@ -92,9 +115,10 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    ours = (me, keys, uploads, embeds, verifications, disputes, jobs, assets, credentials, claims, shares, webhooks)
-    for router in (*ours, notices, health):
-        app.include_router(router)
+    left_out = set(OPTIONAL_ROUTERS).difference(service.settings.routers.split(","))
+    for name, router in ROUTERS:
+        if name not in left_out:
+            app.include_router(router)
     install(app)
     app.add_middleware(BodyGuard, settings=service.settings)
     app.add_middleware(SafeHeaders)

@@ -33,6 +33,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "internal": (500, "A fault of this service"),
     "engine-limit": (500, "The work exceeded its limits"),
     "storage-full": (507, "No space left"),
+    "not-fetched": (502, "The address gave nothing to keep"),
     "no-time-stamp": (502, "The time-stamping service gave no stamp"),
     "unavailable": (503, "A part of the service does not answer"),
 }

@@ -2,13 +2,16 @@
 
 from pathlib import Path
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 GIB = 1 << 30
 MIB = 1 << 20
 DATABASE, JOBS_DATABASE = "mark3dgs.sqlite", "jobs.sqlite"
 """Files in the data folder: our tables, and the job engine's."""
+
+OPTIONAL_ROUTERS = ("acquisitions", "credentials", "disputes", "packs", "shares", "webhooks")
+"""Parts of the API that an operator can leave out."""
 
 
 class Settings(BaseSettings):
@@ -70,6 +73,11 @@ class Settings(BaseSettings):
     tenant_bytes: int = Field(
         100 * GIB, gt=0, description="Uploads and assets of a tenant, together; conversions do not count."
     )
+    acquisitions_per_hour: int = Field(60, gt=0, description="Acquisitions an API key may make in an hour.")
+    acquire_seconds: float = Field(60.0, gt=0, description="An address that takes longer to answer is given up.")
+    acquisitions_private: bool = Field(
+        False, description="Addresses to acquire from may be private, loopback and link-local ones."
+    )
     webhooks: int = Field(5, ge=0, description="Webhooks of a tenant.")
     webhooks_private: bool = Field(
         False, description="Webhooks may go to private, loopback and link-local addresses, and over plain HTTP."
@@ -88,6 +96,18 @@ class Settings(BaseSettings):
         "", description="File with the certificate chain (PEM) that signs Content Credentials; empty: none are made."
     )
     credentials_key: str = Field("", description="File with the private key (PEM) of that chain's first certificate.")
+
+    routers: str = Field(
+        ",".join(OPTIONAL_ROUTERS),
+        description="Parts of the API beyond the core, separated by commas; others are not there.",
+    )
+
+    @field_validator("routers")
+    @classmethod
+    def _known_routers(cls, text: str) -> str:
+        if unknown := set(filter(None, text.split(","))) - set(OPTIONAL_ROUTERS):
+            raise ValueError(f"{', '.join(sorted(unknown))}: none of {', '.join(OPTIONAL_ROUTERS)}")
+        return text
 
     def database(self) -> str:
         """SQLAlchemy URL of our tables."""

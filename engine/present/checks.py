@@ -17,6 +17,9 @@ CHECKS = {
 }
 """Names of the checks, in the order in which they are made."""
 
+NAMES = CHECKS | {"acquisition": "Acquisition"}
+"""With that of the service's own."""
+
 OUTCOMES = {True: "holds", False: "does not hold", None: "not decided"}
 
 Check = Json
@@ -62,8 +65,7 @@ def checks_of(claim: Mapping[str, Any] | None, error: RecordError | None) -> lis
 def named(checks: Sequence[Mapping[str, Any]]) -> list[Check]:
     """Checks with a `name` and an `outcome` for people beside `code` and `ok`."""
     return [
-        {**check, "name": CHECKS.get(check["code"], check["code"]), "outcome": OUTCOMES[check["ok"]]}
-        for check in checks
+        {**check, "name": NAMES.get(check["code"], check["code"]), "outcome": OUTCOMES[check["ok"]]} for check in checks
     ]
 
 

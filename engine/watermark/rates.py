@@ -99,7 +99,9 @@ class AppliedRate:
     tries: int = 1  # records that may have been tried out, each a hypothesis
 
 
-def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str = "") -> AppliedRate:
+def applicable_rate(
+    asked: float, attested: Attested | None, suspect_seen: str = "", suspect_existed: str = ""
+) -> AppliedRate:
     """The rate that applies to a record; what was asked for counts only where it is stricter.
 
     Parameters
@@ -109,9 +111,12 @@ def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str =
     suspect_seen : str
         Since when the suspect is known, ISO 8601 (a date counts from its first moment); empty if unknown.
         InputError if it is no time.
+    suspect_existed : str
+        By when the suspect is shown to have existed, ISO 8601; empty if that is not shown. It tells only against a
+        record that is younger: that the suspect did not exist before, nobody can show.
     """
     usual = min(asked, CHANCE_RATE)
-    basis = _basis(attested, suspect_seen)
+    basis = _basis(attested, suspect_seen, suspect_existed)
     if basis == "younger":
         return AppliedRate(min(asked, DEMANDS[basis]), basis, None)
     tries = attested.tries if attested is not None and basis == "drawn" else 1
@@ -127,11 +132,11 @@ def conditions_of(basis: str, suspect_seen: str = "") -> tuple[Condition, ...]:
     return ()
 
 
-def _basis(attested: Attested | None, suspect_seen: str) -> str:
-    seen = _seen(suspect_seen) if suspect_seen else None
+def _basis(attested: Attested | None, suspect_seen: str, suspect_existed: str) -> str:
+    seen, existed = (_seen(text) if text else None for text in (suspect_seen, suspect_existed))
     if attested is None:
         return "self_declared"
-    if seen is not None and seen <= attested.moment:
+    if any(known is not None and known <= attested.moment for known in (seen, existed)):
         return "younger"
     if attested.drawn:
         return "drawn"

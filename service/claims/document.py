@@ -1,5 +1,6 @@
 """The claim document: what is signed. Made from the reply of the task `verify` and what the registry knows."""
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -9,13 +10,16 @@ from typing import Any, cast
 from pydantic import BaseModel, Field
 
 from engine.present.checks import named
-from engine.present.numerals import TYPOGRAPHIC, Form
+from engine.present.numerals import TYPOGRAPHIC, Form, when
 from engine.present.reading import reading_of
 from engine.present.wording import Words, recognizes, words_of
+from engine.records.timestamps import stamped_at
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.clock import LOG
 from service.http.results import Reading
+from service.trust.canonical import canonical
+from service.trust.commitments import acquisition_facts
 
 
 class Fact(BaseModel):
@@ -82,13 +86,14 @@ def build_document(
     pictures: Mapping[str, str],
     issuer: Mapping[str, str] | None = None,
     owner: str = "",
+    acquisition: Mapping[str, Any] | None = None,
 ) -> Document:
     """The document without its member `audit`, as JSON values.
 
     Made of the `reply` of the task `verify`, the `sha256` of each file handed in, and those of the report's `pictures`
     by name. `asset` is the row of the asset that the reply names, if it names one; the two dates say when it entered
     the log, and when a copy of its original was first registered. `issuer` has `name` and `address`; `owner` is the
-    display name of who asked.
+    display name of who asked; `acquisition` is the member of that name.
     """
     claim, subject = reply["claim"], reply["subject"]
     plain: Document = {
@@ -98,6 +103,7 @@ def build_document(
         "tool": {"name": "mark3dgs", "version": version("mark3dgs")},
         "issuer": dict(issuer) if issuer is not None else None,
         "owner": {"name": owner} if owner else None,
+        "acquisition": acquisition,
         "searched": reply["searched"],
         "subject": {
             "kind": "pictures" if subject["pictures"] else "model",
@@ -114,6 +120,9 @@ def build_document(
         "regions": reply.get("regions"),  # replies of before have none
         **(_found(claim, reply["registered_message"]) if claim is not None else _NOTHING),
     }
+    if acquisition is not None:
+        ok = True if acquisition["timestamp"] is not None else None  # without, it is the service's word
+        plain["checks"].append({"code": "acquisition", "ok": ok, "text": _acquisition_text(acquisition)})
     if claim is None and reply["searched"]["compared"] > reply["searched"]["unreadable"]:
         plain["missing"] = "something of a registered asset that can be recognised"
     if asset is not None:
@@ -130,6 +139,17 @@ def build_document(
         }
     plain["meaning"] = document_words(plain).meaning
     return ClaimDocument.model_validate(plain).model_dump(by_alias=True, exclude={"audit"})
+
+
+def _acquisition_text(acquisition: Mapping[str, Any]) -> str:
+    """Where the suspect comes from, and who vouches for it."""
+    url, token = acquisition["url"], acquisition["timestamp"]
+    origin = f"was fetched from {url}" if url else "was handed in"
+    text = f"The suspect {origin} on {when(acquisition['at'])}, as the issuing service states; "
+    if token is None:
+        return text + "no third party attests the time."
+    at = stamped_at(base64.b64decode(token), canonical(acquisition_facts(acquisition)))
+    return text + f"a time stamp attests that it existed on {when(at)}."
 
 
 _BOUND = ("verdict", "confidence", "log10_false_claim", "meets_dishonest_claimant_rate", "would_be_claim_if_attested")

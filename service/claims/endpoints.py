@@ -20,6 +20,7 @@ from service.trust.commitments import forget
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
+packs = APIRouter(tags=["claims"])
 SOUGHT = "Part of a suspect's file name, of the claim's or asset's id, label or copy name; or a suspect's SHA-256."
 JWS_TYPE = "application/jose"
 
@@ -104,7 +105,7 @@ def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     return report_page(core, visible(core, caller, claims, claim_id))
 
 
-@router.get(
+@packs.get(
     "/v1/claims/{claim_id}/pack",
     operation_id="getPack",
     response_class=Response,

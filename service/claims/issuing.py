@@ -1,5 +1,6 @@
 """Issuing a claim: one transaction logs, signs and stores it. Twice for one job is once."""
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +15,14 @@ from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
 from service.db import Database, alone
-from service.db.schema import assets, claims
+from service.db.schema import acquisitions, assets, claims
 from service.jobs.port import Job
 from service.problems import Problem
+from service.trust import audit
 from service.trust.api_keys import display_name
 from service.trust.audit import Entry
 from service.trust.canonical import canonical
-from service.trust.commitments import commit_claim, registration_of
+from service.trust.commitments import ACQUISITION_MADE, acquisition_facts, commit_claim, registration_of
 from service.trust.master import MasterKey
 from service.trust.signing import sign
 
@@ -50,6 +52,7 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
             pictures=reply["kept"],
             sha256=files,
             names=job.request.get("names", ()),  # jobs of earlier versions have none
+            acquisition=job.request.get("acquisition_id"),
             issuer={"name": service.settings.issuer_name, "address": service.settings.public_url},
         )
     result: dict[str, Any] = {
@@ -92,12 +95,14 @@ def issue_claim(
     pictures: Mapping[str, str],
     names: Sequence[str] = (),
     issuer: Mapping[str, str] | None = None,
+    acquisition: str | None = None,
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
     `reply` is that of `service.claims.document.of_what_was_found`; `issuer` says who we are.
     `sha256` is of each file handed in, in order, and `names` what they were called, which is not signed; `pictures`
     names those of the report, stored already, by SHA-256.
+    `acquisition` is the id of the suspect's, if it has one; conflict where that was deleted meanwhile.
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
     alone(connection)
@@ -105,6 +110,7 @@ def issue_claim(
     if (row := connection.execute(query).one_or_none()) is not None:
         return IssuedClaim(row.id, json.loads(row.document), row.jws)
     asset, registration, first = _registered(connection, tenant, reply["asset"])
+    acquired = _acquired(connection, tenant, acquisition) if acquisition is not None else None
     claim_id, created_at = "cl_" + job.removeprefix("job_"), now()
     document = build_document(
         reply,
@@ -117,8 +123,10 @@ def issue_claim(
         pictures=pictures,
         issuer=issuer,
         owner=display_name(connection, tenant),
+        acquisition=acquired,
     )
-    document["audit"] = commit_claim(connection, tenant, document, registration, first)
+    entry = audit.find(connection, ACQUISITION_MADE, acquired["id"]) if acquired is not None else None
+    document["audit"] = commit_claim(connection, tenant, document, registration, first, entry)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
     values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
@@ -144,6 +152,16 @@ def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
         this = sa.and_(claims.c.id == claim.id, claims.c.timestamp.is_(None))
         connection.execute(claims.update().where(this).values(timestamp=stamped.token))
     return ""
+
+
+def _acquired(connection: sa.Connection, tenant: str, acquisition: str) -> dict[str, Any]:
+    """An acquisition as a claim has it."""
+    mine = (acquisitions.c.tenant == tenant) & (acquisitions.c.id == acquisition)
+    row = connection.execute(acquisitions.select().where(mine)).one_or_none()
+    if row is None:
+        raise Problem("conflict", f"the acquisition {acquisition!r} was deleted")
+    stamped = base64.b64encode(row.timestamp).decode() if row.timestamp is not None else None
+    return acquisition_facts(row._asdict()) | {"timestamp": stamped}
 
 
 def _registered(

@@ -5,6 +5,7 @@
 3. The document's form.                        7. What was drawn for the record follows from a time stamp.
 4. Its numbers and words follow from others.   8. What stands around the claim says what was signed.
                                                9. The time stamp, if there is one.
+10. Where the suspect comes from, as far as somebody says so.
 """
 
 import base64
@@ -19,15 +20,15 @@ from pydantic import ValidationError
 from engine.flows.records.draw import Draw
 from engine.records.merkle import check_inclusion, leaf_hash
 from engine.records.signatures import SignatureFault, verify
-from engine.records.timestamps import TimestampFault, check_stamp, drawn_from, stamped_at
+from engine.records.timestamps import TimestampFault, authority_of, check_stamp, drawn_from, stamped_at
 from service.claims.arithmetic import Check, Status, arithmetic_fault, meaning_check
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
 from service.claims.document import summary_of
 from service.claims.history import against_others, history_fault
 from service.claims.report import report_html
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
-from service.trust.canonical import canonical
-from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, claim_digest
+from service.trust.canonical import canonical, digest
+from service.trust.commitments import ACQUISITION_MADE, ASSET_REGISTERED, CLAIM_ISSUED, acquisition_facts, claim_digest
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,8 @@ def verify_report(
     checks += against_others(document, others, jwks)
     if document.get("drawing") is not None:  # 7
         checks.append(_drawing(document, tsa_certificates))
+    if document.get("acquisition") is not None or audit.get("acquisition") is not None:  # 10
+        checks.append(_acquisition(document, tsa_certificates))
     checks += _around(data, carried, document, payload)  # 8
     if carried.timestamp is not None:  # 9
         checks.append(_stamp(carried.timestamp, carried.jws, tsa_certificates))
@@ -242,6 +245,36 @@ def _drawing(document: Mapping[str, Any], certificates: Sequence[x509.Certificat
         return Check("drawing", Status.FAIL, str(fault))
     text = "The rate rests on a time stamp; who gave it was not checked, for want of a certificate to trust."
     return Check("drawing", Status.NOT_CHECKED, text)
+
+
+def _acquisition(document: Mapping[str, Any], certificates: Sequence[x509.Certificate]) -> Check:
+    """Whether the suspect is what was acquired, that was logged before the claim, and who says when it existed."""
+    told, audit = document.get("acquisition"), document["audit"]
+    found = audit.get("acquisition")
+    if told is None or found is None:
+        return Check("acquisition", Status.FAIL, "the claim and the log do not both name an acquisition")
+    facts, entry = acquisition_facts(told), found["entry"]
+    logged = (ACQUISITION_MADE, told["id"], audit["entry"]["tenant"], digest(facts))
+    if logged != (entry["event"], entry["subject"], entry["tenant"], entry["payload"].get("digest")):
+        return Check("acquisition", Status.FAIL, "the log's entry speaks of another acquisition")
+    if entry["index"] >= audit["index"] or not _included(entry, found["proof"], audit):
+        return Check("acquisition", Status.FAIL, "the acquisition is not in the log, or came after the claim")
+    if told["payload_sha256"] not in document["subject"]["sha256"]:
+        return Check("acquisition", Status.FAIL, "the file that was acquired is not the suspect")
+    origin = f"The suspect is the file that {'was fetched' if told['url'] else 'was handed in'} on {told['at']}"
+    origin += f" from {told['url']}, by the word of the service" if told["url"] else ", from where its owner says"
+    if told["timestamp"] is None:
+        text = f"{origin}; that it existed by then is the word of the service, whose log has it on {entry['at']}."
+        return Check("acquisition", Status.NOT_CHECKED, text)
+    try:
+        token, stamped = base64.b64decode(told["timestamp"], validate=True), canonical(facts)
+        at = check_stamp(token, stamped, certificates) if certificates else stamped_at(token, stamped)
+    except (TimestampFault, ValueError) as fault:
+        return Check("acquisition", Status.FAIL, f"the time stamp of the acquisition: {fault}")
+    if certificates:
+        return Check("acquisition", Status.PASS, f"{origin}; {authority_of(token)} attests that it existed on {at}.")
+    text = f"{origin}; a time stamp says that it existed on {at}; who gave it was not checked, for want of a"
+    return Check("acquisition", Status.NOT_CHECKED, f"{text} certificate to trust.")
 
 
 def _canonical_or_none(value: Any) -> bytes | None:

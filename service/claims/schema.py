@@ -169,6 +169,22 @@ class Drawing(_Part):
     )
 
 
+class Acquisition(_Part):
+    """Where a file of the suspect comes from: a service fetched it, or took it, before it was examined."""
+
+    id: str
+    url: str | None = Field(
+        description="The address that answered with it, as the service says; null where the owner handed the file in."
+    )
+    at: str = Field(description="When, UTC, as the service says.")
+    payload_sha256: str = Hex64
+    warc_sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="Of the WARC file (ISO 28500) that has all of it.")
+    timestamp: str | None = Field(
+        description="RFC 3161 token of the members above as canonical JSON, base64: a third party's word that they, and"
+        " so the suspect, existed by then; null where there is only the service's."
+    )
+
+
 class Condition(_Part):
     """Under which a bound between the two rates would be a claim."""
 
@@ -210,7 +226,7 @@ class LogEntry(_Part):
 
 
 class Registration(_Part):
-    """The asset's registration in the same log, under the same root."""
+    """The asset's registration, or the suspect's acquisition, in the same log, under the same root."""
 
     entry: LogEntry
     proof: list[str]
@@ -234,6 +250,7 @@ class Audit(_Part):
     entry: LogEntry
     registration: Registration | None
     first_registration: Registration | None = Field(None, description="Of the original: its first copy's.")
+    acquisition: Registration | None = Field(None, description="The entry of the suspect's acquisition.")
     earlier: list[EarlierLog] = Field(
         default_factory=list, description="Right after the asset's registration, and right after the claim before."
     )
@@ -253,6 +270,7 @@ class ClaimDocument(_Part):
     issuer: Issuer | None = None
     owner: Owner | None = None
     subject: Subject
+    acquisition: Acquisition | None = None
     searched: Searched | None = None
     asset: str | None = Field(description="The asset that the answer is about; null where none was recognised of all.")
     original: Original | None
@@ -301,6 +319,8 @@ class ClaimDocument(_Part):
             raise ValueError(f"conditions have another form in version {self.schema_version}")
         if self.drawing is not None and not new:
             raise ValueError(f"version {self.schema_version} knows of no drawing")
+        if self.acquisition is not None and not new:
+            raise ValueError(f"version {self.schema_version} knows of no acquisition")
         return self
 
 

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.claims import shares
+from service.claims.endpoints import packs
 from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
 from service.claims.schema import OwnerStatement
 from service.db import own, schema
@@ -105,7 +106,7 @@ def shared_claim(token: str, core: Core) -> SignedClaim:
     return signed(shares.shared(core.db, token))
 
 
-@router.get(
+@packs.get(
     "/shared/{token}/pack",
     operation_id="sharedPack",
     response_class=Response,

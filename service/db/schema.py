@@ -135,6 +135,19 @@ draws = Table(
     *_texts("created_at"),
 )
 
+# Suspects as they were found; what a claim names of one is in the log.
+acquisitions = Table(
+    "acquisitions",
+    metadata,
+    *_key("id"),
+    *_texts("tenant", index=True),
+    *_texts("api_key", "at", "payload_sha256", "warc_sha256", "created_at"),
+    *_texts("url", "upload", null=True),  # url: NULL of a file that was handed in; upload: NULL of no suspect
+    _number("bytes"),
+    _number("warc_bytes"),
+    Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of `trust.commitments.acquisition_facts`
+)
+
 # Addresses under which a claim is seen without an API key; the address itself is nowhere kept.
 shares = Table(
     "shares",

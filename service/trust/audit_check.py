@@ -13,7 +13,7 @@ from sqlalchemy.orm import aliased
 from engine.records import merkle
 from engine.records.signatures import SignatureFault, verify
 from service.db import Database
-from service.db.schema import assets, audit_nodes, claims, manifests, uploads
+from service.db.schema import acquisitions, assets, audit_nodes, claims, manifests, uploads
 from service.db.schema import audit as log
 from service.trust import audit
 from service.trust.canonical import canonical
@@ -177,6 +177,8 @@ def _check_files(db: Database, blobs: Stored) -> tuple[int, list[Fault]]:
         for row in _all(connection, claims.select(), claims.c.id):
             for name, digest in json.loads(row.pictures).items():
                 named.setdefault(digest, []).append(f"the picture {name} of {row.id} ({row.tenant})")
+        for row in _all(connection, acquisitions.select(), acquisitions.c.id):
+            named.setdefault(row.warc_sha256, []).append(f"the acquisition {row.id} ({row.tenant})")
         for row in _all(connection, manifests.select(), manifests.c.id):
             named.setdefault(row.sha256, []).append(f"the manifest {row.id} of {row.asset}")
         for row in _all(connection, uploads.select().where(uploads.c.state == "complete"), uploads.c.id):

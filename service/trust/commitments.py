@@ -15,7 +15,8 @@ from service.trust.canonical import digest
 
 ASSET_REGISTERED = "asset.registered"
 CLAIM_ISSUED = "claim.issued"
-DELETED = {"assets": "asset.deleted", "claims": "claim.deleted"}
+ACQUISITION_MADE = "acquisition.made"
+DELETED = {"acquisitions": "acquisition.deleted", "assets": "asset.deleted", "claims": "claim.deleted"}
 """Tombstones, by table."""
 
 
@@ -37,8 +38,13 @@ def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str =
     return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"], at)
 
 
+def acquisition_facts(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What the log and a time stamp say of an acquisition, by the digest of its canonical form."""
+    return {name: row[name] for name in ("id", "url", "at", "payload_sha256", "warc_sha256")}
+
+
 def forget(db: Database, table: sa.Table, tenant: str, row_id: str) -> None:
-    """Delete an asset or a claim for good; the log keeps what it said, and says that the row was deleted."""
+    """Delete an asset, a claim or an acquisition for good; the log keeps what it said, and that the row was deleted."""
     with db.exclusive() as connection:
         this = (table.c.id == row_id) & (table.c.tenant == tenant)
         if connection.execute(sa.delete(table).where(this)).rowcount == 0:
@@ -65,12 +71,13 @@ def commit_claim(
     document: Mapping[str, Any],
     registration: Entry | None,
     first: Entry | None = None,
+    acquisition: Entry | None = None,
 ) -> dict[str, Any]:
     """Log a claim, and return its member `audit`: the entry, and the proof that it is in the log.
 
-    The registration of the asset, and the `first` of its original, are proven under the same root, so that a reader
-    sees which came first. The log right after the registration, whose root the record's attestation has, and that right
-    after the claim before are proven to be the beginning of this one.
+    The registration of the asset, the `first` of its original, and the `acquisition` of the suspect are proven under
+    the same root, so that a reader sees which came first. The log right after the registration, whose root the record's
+    attestation has, and that right after the claim before are proven to be the beginning of this one.
     """
     ends = {None if registration is None else registration.index, audit.last(connection, CLAIM_ISSUED)}
     payload = {"asset": document["asset"], "digest": claim_digest(document)}
@@ -86,5 +93,5 @@ def commit_claim(
 
     place = {"index": entry.index, "size": size, "root": audit.root(connection, size), **proven(entry)}
     place["earlier"] = [begun(index + 1) for index in sorted(index for index in ends if index is not None)]
-    named = {"registration": registration, "first_registration": first}
+    named = {"registration": registration, "first_registration": first, "acquisition": acquisition}
     return place | {name: proven(logged) if logged is not None else None for name, logged in named.items()}

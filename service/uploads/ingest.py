@@ -124,7 +124,7 @@ def gather(
 
     conflict where an upload is not complete, unreadable-... where it is no model, picture or cameras as `kind` says.
     """
-    rows = [_whole(service, caller, upload_id) for upload_id in upload_ids]
+    rows = [complete_upload(service, caller, upload_id) for upload_id in upload_ids]
     if files:
         rows += inspect(service, [_take(service, caller, file) for file in files])
     infos = [json.loads(row.info) if row.info else {} for row in rows]
@@ -152,8 +152,8 @@ def _take(service: Service, caller: Caller, file: UploadFile) -> Any:
         return store.complete(service, row, path, Received(size, digest_of(path), whole=True))
 
 
-def _whole(service: Service, caller: Caller, upload_id: str) -> Any:
-    """The row of a complete upload."""
+def complete_upload(service: Service, caller: Caller, upload_id: str) -> Any:
+    """The row of a complete upload; conflict where it is not."""
     row = store.get(service, caller, upload_id)
     if row.state != "complete":
         raise Problem("conflict", f"upload {upload_id!r} is not complete: {row.received} bytes are here")

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from service.clock import ago
 from service.core import Service
-from service.db.schema import assets, claims, conversions, jobs, manifests, uploads
+from service.db.schema import acquisitions, assets, claims, conversions, jobs, manifests, uploads
 from service.jobs.port import FINAL
 from service.uploads import store
 
@@ -50,7 +50,8 @@ def _named(service: Service) -> set[str]:
     found: set[str] = set()
     with service.db.read() as connection:
         of_manifests = (manifests.c.file_sha256, manifests.c.sha256)
-        for column in (uploads.c.sha256, conversions.c.sha256, *of_manifests, *of_assets):
+        kept = (uploads.c.sha256, conversions.c.sha256, acquisitions.c.warc_sha256)
+        for column in (*kept, *of_manifests, *of_assets):
             found.update(digest for (digest,) in connection.execute(sa.select(column)) if digest)
         for (parts,) in connection.execute(sa.select(uploads.c.parts)):
             found.update(store.part_names(parts))

@@ -19,7 +19,7 @@ from engine.formats.image_files import is_picture
 from service.clock import now
 from service.core import Service
 from service.db import missing, own
-from service.db.schema import assets, uploads
+from service.db.schema import acquisitions, assets, uploads
 from service.problems import Problem
 from service.settings import Settings
 from service.trust.api_keys import Caller
@@ -209,7 +209,8 @@ _BESIDE = 1 << 20
 
 
 def stored_bytes(connection: sa.Connection, tenant: str) -> int:
-    """Bytes of a tenant: uploads, open ones as announced, and assets; an original counts once, however many copies.
+    """Bytes of a tenant: uploads, open ones as announced, acquisitions, and assets; an original counts once, however
+    many copies.
 
     Counted on request, so deleting helps at once.
     """
@@ -227,7 +228,8 @@ def stored_bytes(connection: sa.Connection, tenant: str) -> int:
     of_originals = sa.select(
         sa.func.sum(originals.where(mine, assets.c.original_sha256.not_in(uploaded)).subquery().c.bytes)
     )
-    parts = (of_uploads.where(uploads.c.tenant == tenant), of_copies, of_originals)
+    of_acquisitions = sa.select(sa.func.sum(acquisitions.c.warc_bytes)).where(acquisitions.c.tenant == tenant)
+    parts = (of_uploads.where(uploads.c.tenant == tenant), of_copies, of_originals, of_acquisitions)
     return sum(int(connection.execute(part).scalar_one() or 0) for part in parts)
 
 

@@ -1,7 +1,7 @@
 """POST /v1/verify: does this suspect carry a mark of ours?"""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Annotated, Literal
 
@@ -10,6 +10,8 @@ from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
 
 from engine.watermark.statistics import CHANCE_RATE
 from service.core import Service
+from service.db import own
+from service.db.schema import acquisitions
 from service.http.access import Core, Verifier
 from service.http.budgets import spend
 from service.http.forms import Asked, Files, form_schema, read_form
@@ -57,6 +59,9 @@ class VerifyRequest(Asked):
         " 1e-9 where the registration is attested, else 2^-128.",
     )
     suspect_seen: Annotated[date, Field(description="Since when the suspect is known."), _DAY] | None = None
+    acquisition_id: str | None = Field(
+        None, max_length=64, description="Acquisition of this very suspect (the same bytes); the claim then names it."
+    )
     route: Literal["auto", "model", "render", "image"] = Field("auto", description="Kind of evidence.")
     spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that does not say.")
 
@@ -109,6 +114,8 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
         **body.model_dump(include={"asset_id", "false_claim_rate", "route", "spz_frame", "suspect_seen"}, mode="json"),
     }
 
+    asked |= _acquired(core, caller, body, [row.sha256 for row in (*model, *images)])
+
     def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
@@ -116,3 +123,17 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
         return {**asked, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
     return submit(core, caller, "verify", retry_key, {"verify": asked}, make)
+
+
+def _acquired(core: Service, caller: Caller, body: VerifyRequest, suspect: Sequence[str]) -> Mapping[str, str]:
+    """What is asked of a suspect of these digests that was acquired; conflict where something else was."""
+    if body.acquisition_id is None:
+        return {}
+    row = own(core.db, acquisitions, caller.tenant, body.acquisition_id)
+    if row.payload_sha256 not in suspect:
+        text = f"acquisition {row.id!r} has SHA-256 {row.payload_sha256}, the suspect {', '.join(suspect)}"
+        raise Problem("conflict", text)
+    if body.suspect_seen is not None and body.suspect_seen.isoformat() > row.at:
+        text = f"suspect_seen: the suspect was acquired on {row.at}, before {body.suspect_seen}"
+        raise Problem("invalid-request", text)
+    return {"acquisition_id": row.id, "suspect_existed": row.at}

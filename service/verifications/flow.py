@@ -56,6 +56,7 @@ def _verify(service: Service, run: Run) -> Reply:
             "candidates": known,
             "stop_at_first": True,
             "suspect_seen": asked.get("suspect_seen"),
+            "suspect_existed": asked.get("suspect_existed"),
             **{name: asked[name] for name in ("false_claim_rate", "route")},
         },
     ) | {"searched": {"scope": "all" if asked["asset_id"] is None else "one", "assets": len(rows)}}

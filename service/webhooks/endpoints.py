@@ -13,9 +13,9 @@ from service.http.access import Admin, Core
 from service.http.error_responses import OF_OWN, responses
 from service.http.forms import Asked
 from service.http.results import Time
+from service.open_network import is_public
 from service.problems import Problem
 from service.trust import webhook_secrets as registry
-from service.webhooks.sending import is_public
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
 Events = Annotated[list[Literal["job.ended", "mark.found"]], Field(min_length=1, max_length=2)]

@@ -57,6 +57,7 @@ def verify_suspect(request: Request, folder: Path, progress: Progress) -> Reply:
             false_claim_rate=request["false_claim_rate"],
             route=request.get("route") or "auto",
             suspect_seen=request.get("suspect_seen") or "",
+            suspect_existed=request.get("suspect_existed") or "",
         ),
         stop_at_first=bool(request.get("stop_at_first")),
         regions=RegionConfig(),

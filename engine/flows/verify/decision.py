@@ -32,6 +32,7 @@ class VerifyConfig:
     # (`rates.applicable_rate`)
     false_claim_rate: float = CHANCE_RATE
     suspect_seen: str = ""  # since when the suspect is known, ISO 8601; empty where nobody knows
+    suspect_existed: str = ""  # by when it is shown to have existed, ISO 8601; empty where that is not shown
     route: str = "auto"  # "auto", "model", "render" or "image"
     decoder: str = "ours"  # "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours
     seed: int = 0  # of the registration's trials
@@ -57,7 +58,7 @@ class VerifyConfig:
 
     def rate_for(self, attested: Attested | None) -> AppliedRate:
         """The rate that a claim of such a record must meet."""
-        return applicable_rate(self.false_claim_rate, attested, self.suspect_seen)
+        return applicable_rate(self.false_claim_rate, attested, self.suspect_seen, self.suspect_existed)
 
 
 @dataclass(frozen=True, eq=False)

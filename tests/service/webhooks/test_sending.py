@@ -19,8 +19,9 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
 
+from service.open_network import NOWHERE, is_public
 from service.webhooks import sending
-from service.webhooks.sending import DELIVERED, NOWHERE, is_public
+from service.webhooks.sending import DELIVERED
 from tests.service.webhooks.conftest import Receivers
 from tests.service.webhooks.receiver import answer
 
