@@ -27,6 +27,13 @@ class _Writer(WARCWriter):  # type: ignore[misc]
         return Digester("sha256")
 
 
+class _Head(StatusAndHeaders):  # type: ignore[misc]
+    """Headers as they came: the library would spell them in ASCII."""
+
+    def compute_headers_buffer(self, header_filter: Any = None) -> None:
+        self.headers_buff = self.to_bytes(header_filter, "latin-1")
+
+
 def write_warc(target: Path, body: Path, exchanges: Sequence[Exchange], name: str, at: str) -> None:
     """Write what was fetched, or, without exchanges, what was handed in at a time under a name.
 
@@ -43,10 +50,10 @@ def write_warc(target: Path, body: Path, exchanges: Sequence[Exchange], name: st
 
 
 def _write_exchange(writer: _Writer, exchange: Exchange, body: Any) -> None:
-    asked = StatusAndHeaders(f"GET {exchange.target} HTTP/1.1", list(exchange.asked), is_http_request=True)
+    asked = _Head(f"GET {exchange.target} HTTP/1.1", list(exchange.asked), is_http_request=True)
     # The body is kept without its framing in chunks, so the header that announces that goes by another name.
     headers = [(f"X-Archive-Orig-{k}" if k.lower() == _CHUNKED else k, v) for k, v in exchange.answered]
-    answered = StatusAndHeaders(exchange.status, headers, protocol="HTTP/1.1")
+    answered = _Head(exchange.status, headers, protocol="HTTP/1.1")
     there = {"WARC-IP-Address": exchange.address}
     response = _write(writer, exchange.url, "response", exchange.at, body, there, answered)
     beside = {"WARC-Concurrent-To": response}
@@ -58,13 +65,7 @@ def _write_exchange(writer: _Writer, exchange: Exchange, body: Any) -> None:
 
 
 def _write(
-    writer: _Writer,
-    url: str,
-    kind: str,
-    at: str,
-    payload: Any,
-    headers: dict[str, str],
-    http: StatusAndHeaders | None = None,
+    writer: _Writer, url: str, kind: str, at: str, payload: Any, headers: dict[str, str], http: _Head | None = None
 ) -> str:
     """Id of the record."""
     dated = {"WARC-Date": at.replace("+00:00", "Z"), **headers}

@@ -52,7 +52,9 @@ def ids(api: Api) -> dict[str, str]:
     dispute = _dispute(api.service, tenant, asset)
     share = api.client.post(f"/v1/claims/{claim}/share", json={}).json()
     hook = api.client.post("/v1/webhooks", json={"url": "https://hooks.example/"}).json()["id"]
+    acquired = api.client.post("/v1/acquisitions", json={"upload_id": upload}).json()["id"]
     named = {
+        "acquisition_id": acquired,
         "upload_id": upload,
         "webhook_id": hook,
         "key_id": key,
@@ -112,12 +114,15 @@ def test_every_body_with_anothers_ids(stranger: Api, ids: dict[str, str]) -> Non
         assert stranger.client.post("/v1/embed", json=body).status_code == 404
     for body in ({"upload_id": ids["upload_id"]}, {"upload_id": own, "asset_id": ids["asset_id"]}):
         assert stranger.client.post("/v1/verify", json=body).status_code == 404
+    assert stranger.client.post("/v1/acquisitions", json={"upload_id": ids["upload_id"]}).status_code == 404
+    acquired = {"upload_id": own, "acquisition_id": ids["acquisition_id"]}
+    assert stranger.client.post("/v1/verify", json=acquired).status_code == 404
     pictures = {"image_upload_ids": [ids["upload_id"]]}
     assert stranger.client.post("/v1/verify", json=pictures).status_code == 404
 
 
 def test_lists_hold_ones_own(api: Api, stranger: Api, ids: dict[str, str]) -> None:
-    for path in ("/v1/keys", "/v1/jobs", "/v1/assets", "/v1/claims", "/v1/uploads", "/v1/webhooks"):
+    for path in ("/v1/keys", "/v1/jobs", "/v1/assets", "/v1/claims", "/v1/uploads", "/v1/acquisitions", "/v1/webhooks"):
         foreign = stranger.client.get(path).text
         assert not any(value in foreign for value in ids.values())
         if path == "/v1/webhooks":  # it has no pages
