@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.present.html_pages import templates
 from engine.present.numerals import PLAIN, when
 from service.claims.document import document_words, no_pack
+from service.claims.law import TITLES, elements
 from service.claims.report import captions_of, timeline
 from service.claims.schema import OwnerStatement
 from service.problems import Problem
@@ -56,7 +57,8 @@ def make_pack(
     issuer, digests = document.get("issuer") or {}, document["pictures"]
     owner = (document.get("owner") or {}).get("name", "")
     address = issuer.get("address") or "[address of the service that issued the claim]"
-    about = {
+    acquired = (document.get("acquisition") or {}).get("url")
+    about: dict[str, Any] = {
         "claim": document,
         "words": document_words(document, PLAIN),
         "timeline": timeline(document, jws, timestamp),
@@ -70,11 +72,23 @@ def make_pack(
         "captions": captions_of(document),
         "digests": [(name, digests[name]) for name in pictures],
         "told": told,
+        "found_at": [*map(str, told.copy_url)] or ([acquired] if acquired else []),
         "note": [part for line in told.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
     }
-    files = {
-        f"{name}.txt": _texts().get_template(f"{name}.txt").render(about).encode() for name in ("finding", "notice")
-    }
+    names = ["finding", "notice"]
+    if told.law is not None:
+        names.append("statement")
+        finding = about["words"].finding
+        parts = elements(
+            told.law,
+            document,
+            finding,
+            about["owner"] or "[name of the owner]",
+            about["found_at"],
+            str(told.original_url or ""),
+        )
+        about |= {"title": TITLES[told.law], "elements": parts, "blank": [part for part in parts if part.blanks]}
+    files = {f"{name}.txt": _texts().get_template(f"{name}.txt").render(about).encode() for name in names}
     files |= {f"signed/{name}.png": data for name, data in pictures.items()}
     if "asset" in pictures:
         files |= {"comparison.png": _side_by_side(pictures), "where.png": pictures["heatmap"]}

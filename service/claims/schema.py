@@ -336,9 +336,14 @@ Note = Annotated[str, StringConstraints(max_length=1000)]
 
 
 class OwnerStatement(BaseModel):
-    """What only the owner knows. It is put into the pack as the owner's word, and kept nowhere."""
+    """What only the owner knows and wants. It is put into the pack as the owner's word, and kept nowhere."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     copy_url: list[Url] = Field([], max_length=10, description="Where the copy was found; give it once for each place.")
     original_url: Url | None = Field(None, description="Where the original is published.")
+    law: Literal["dmca", "dsa"] | None = Field(
+        None,
+        description="Adds statement.txt: what 17 U.S.C. 512(c)(3)(A), or DSA article 16(2), asks for, and a list of the"
+        " parts that are still blank.",
+    )
     note: Note = Field("", description="Your own words; set off from what was found.")

@@ -4,6 +4,7 @@ Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` sa
 """
 
 from service.client.answers import (
+    Acquisition,
     Asset,
     AssetReading,
     Bits,
@@ -27,6 +28,7 @@ from service.client.errors import ServiceError
 from service.client.webhooks import check_webhook
 
 __all__ = [
+    "Acquisition",
     "Asset",
     "AssetReading",
     "AsyncClient",

@@ -220,6 +220,21 @@ class Share:
 
 
 @dataclass(frozen=True)
+class Acquisition:
+    """A suspect kept as it was found."""
+
+    id: str
+    url: str | None  # None of a file that was handed in
+    at: str
+    bytes: int
+    payload_sha256: str
+    warc_sha256: str
+    upload_id: str | None  # to verify; None of what is no suspect
+    timestamp: str | None  # RFC 3161 token, base64
+    timestamp_failure: str = ""  # why there is none, on creation
+
+
+@dataclass(frozen=True)
 class Webhook:
     """An address that receives a message when a job ends."""
 

@@ -48,6 +48,9 @@ class _Method(Generic[P, T]):
 class _Methods:
     """What both clients can do."""
 
+    acquire = _Method(flows.acquire)
+    acquisition = _Method(flows.acquisition)
+    acquisitions = _Method(flows.acquisitions)
     add_webhook = _Method(flows.add_webhook)
     notices = _Method(flows.notices)
     asset = _Method(flows.asset)
@@ -63,6 +66,7 @@ class _Methods:
     jobs = _Method(flows.jobs)
     jws = _Method(downloads.jws)
     me = _Method(flows.me)
+    pack = _Method(downloads.pack)
     record = _Method(downloads.record)
     report = _Method(downloads.report)
     revoke_share = _Method(flows.revoke_share)
@@ -73,6 +77,7 @@ class _Methods:
     upload = _Method(flows.upload)
     verify = _Method(flows.verify)
     wait = _Method(flows.wait)
+    warc = _Method(downloads.warc)
     webhooks = _Method(flows.webhooks)
 
 

@@ -3,6 +3,7 @@
 import os
 import re
 import secrets
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -11,7 +12,7 @@ from urllib.parse import quote
 from service.client.errors import ServiceError
 from service.client.flows import silent
 from service.client.sources import digest_of
-from service.client.wire import BREAKS, FIRST_PAUSE, Fetch, Flow, Pause, Progress, Reply, Request, Work
+from service.client.wire import BREAKS, FIRST_PAUSE, Fetch, Flow, Params, Pause, Progress, Reply, Request, Work
 
 Target = str | os.PathLike[str]
 
@@ -44,7 +45,27 @@ def jws(claim_id: str, target: Target) -> Flow[Path]:
     return (yield from _fetch(f"/v1/claims/{quote(claim_id, safe='')}.jws", target, {}, silent))
 
 
-def _fetch(path: str, target: Target, params: dict[str, str], progress: Progress) -> Flow[Path]:
+def pack(
+    claim_id: str,
+    target: Target,
+    *,
+    law: Literal["dmca", "dsa"] | None = None,
+    copy_url: Sequence[str] = (),
+    original_url: str = "",
+    note: str = "",
+) -> Flow[Path]:
+    """Fetch what to send a platform (ZIP) to a file; with a `law`, the statements that it asks for are in it."""
+    given = {"law": law or "", "copy_url": copy_url, "original_url": original_url, "note": note}
+    params = {name: value for name, value in given.items() if value}
+    return (yield from _fetch(f"/v1/claims/{quote(claim_id, safe='')}/pack", target, params, silent))
+
+
+def warc(acquisition_id: str, target: Target) -> Flow[Path]:
+    """Fetch the WARC file of an acquisition to a file."""
+    return (yield from _fetch(f"/v1/acquisitions/{quote(acquisition_id, safe='')}/warc", target, {}, silent))
+
+
+def _fetch(path: str, target: Target, params: Params, progress: Progress) -> Flow[Path]:
     """The file, which appears under its name, or takes an older one's place, only once it is whole.
 
     A broken connection is continued where it broke; the digest, where the service names one (ETag), is checked.

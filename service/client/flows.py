@@ -9,6 +9,7 @@ from typing import Any, Literal, TypedDict, TypeVar, Unpack
 from urllib.parse import quote
 
 from service.client.answers import (
+    Acquisition,
     Asset,
     Claim,
     ClaimSummary,
@@ -57,6 +58,7 @@ class VerifyOptions(TypedDict, total=False):
     """Of POST /v1/verify; without `asset_id` the suspect is compared with all assets of the tenant."""
 
     asset_id: str
+    acquisition_id: str
     false_claim_rate: float
     suspect_seen: str  # YYYY-MM-DD
     route: Literal["auto", "model", "render", "image"]
@@ -268,6 +270,25 @@ def shares(claim_id: str) -> Flow[list[Share]]:
 def revoke_share(share_id: str) -> Flow[None]:
     """End one before its time."""
     yield from call("DELETE", address("shares", share_id))
+
+
+def acquire(source: Source, *, progress: Progress = silent) -> Flow[Acquisition]:
+    """Have the service fetch a suspect from an address (http, https), or take a file, and keep it as it is."""
+    if isinstance(source, str) and source.startswith(("http://", "https://")):
+        body = {"url": source}
+    else:
+        body = {"upload_id": (yield from upload(source, progress=progress)).id}
+    return read(Acquisition, (yield from call("POST", "/v1/acquisitions", json=body)))
+
+
+def acquisition(acquisition_id: str) -> Flow[Acquisition]:
+    """One of them."""
+    return read(Acquisition, (yield from _get(address("acquisitions", acquisition_id))))
+
+
+def acquisitions() -> Flow[list[Acquisition]]:
+    """All of the tenant."""
+    return (yield from _all(Acquisition, "/v1/acquisitions", {}))
 
 
 def notices(*, asset: str = "") -> Flow[list[Notice]]:

@@ -46,6 +46,12 @@ def test_the_rate_follows_from_who_says_when(
     for asked in (0.999, 1e-3, 1e-9):
         found = applicable_rate(asked, attested, seen)
         assert (found.rate, found.basis, found.if_attested) == (rate, basis, if_attested)
+        if seen:  # shown rather than said, it tells against a younger record, and for none
+            shown = applicable_rate(asked, attested, suspect_existed=seen)
+            assert shown.basis == ("younger" if basis == "younger" else applicable_rate(asked, attested).basis)
+            assert applicable_rate(asked, attested, "2999-01-01", seen).if_attested == (
+                None if basis == "younger" else if_attested
+            )
     strict = applicable_rate(1e-50, attested, seen)
     assert strict.rate == 1e-50
     assert strict.basis == basis

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 import zipfile
 from typing import Any
 
@@ -186,3 +187,40 @@ def test_what_is_no_address_is_refused(said: dict[str, Any]) -> None:
 
 def test_an_address_keeps_to_its_line() -> None:
     assert str(OwnerStatement(copy_url=["https://a.example/x\ny"]).copy_url[0]) == "https://a.example/xy"
+
+
+LAWS = {
+    "dmca": [f"17 U.S.C. 512(c)(3)(A)({number})" for number in ("i", "ii", "iii", "iv", "v", "vi")],
+    "dsa": [f"DSA article 16(2)({letter})" for letter in "abcd"],
+}
+
+
+def statement(registry: Registry, **told: Any) -> tuple[str, list[str]]:
+    """The statement, and the parts of it that it says are blank."""
+    text = opened(pack(registry, told=OwnerStatement.model_validate(told)))["statement.txt"].decode()
+    body, _, blank = text.partition("\n--\n")
+    return body, re.findall(r"^  (\S.*\)): \[", blank, re.MULTILINE)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_statement_has_every_part_that_the_law_asks_for(registry: Registry, law: str) -> None:
+    body, blank = statement(registry, law=law)
+    assert re.findall(r"^(\S.*?\)): ", body, re.MULTILINE) == LAWS[law]
+    located = {"dmca": "17 U.S.C. 512(c)(3)(A)(iii)", "dsa": "DSA article 16(2)(b)"}[law]
+    assert blank == LAWS[law], "of all of them something is for a person to say"
+    url = "https://elsewhere.example/a-very-long-way/" + "to-the-copy/" * 12
+    body, blank = statement(registry, law=law, copy_url=[url])
+    assert f"At: {url}\n" in body, "an exact address is one line"
+    assert blank == [cite for cite in LAWS[law] if cite != located]
+
+
+def test_words_from_outside_are_no_blanks(registry: Registry) -> None:
+    body, blank = statement(registry, law="dsa", copy_url=["https://a.example/?q=[signed]"])
+    assert "[signed]" not in body
+    assert "DSA article 16(2)(b)" not in blank
+
+
+def test_without_a_law_there_is_no_statement(registry: Registry) -> None:
+    assert "statement.txt" not in opened(pack(registry))
+    with pytest.raises(ValidationError):
+        OwnerStatement.model_validate({"law": "common"})
