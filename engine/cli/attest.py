@@ -10,7 +10,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.options import Json
-from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
+from engine.cli.trust_options import Jwks, TrustedList, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
 from engine.usecases.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 
@@ -28,6 +28,7 @@ def attest(
         typer.Option("--attestation", help="Reply of a time-stamping service, or a signed attestation; repeatable."),
     ] = None,
     tsa_certificates: TsaCertificates = None,
+    trusted_list: TrustedList = None,
     jwks: Jwks = None,
     json: Json = False,
 ) -> int:
@@ -65,7 +66,7 @@ def attest(
             raise InputError(stamped.failure)
         more.append(stamp_of(stamped.token))
     whole = attach(data, *more) if more else data
-    witnesses, notes = check_attestations(whole, read_trust(tsa_certificates, jwks))
+    witnesses, notes = check_attestations(whole, read_trust(tsa_certificates, jwks, trusted_list))
     if whole != data:
         with whole_file(record) as part:
             write_secret(part, whole)

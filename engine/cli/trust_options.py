@@ -19,17 +19,21 @@ if TYPE_CHECKING:
 TsaCertificates = Annotated[
     Path | None, typer.Option("--tsa-certificates", help="PEM certificates trusted to vouch for time stamps.")
 ]
+TrustedList = Annotated[
+    Path | None,
+    typer.Option("--trusted-list", help="PEM certificates of a trusted list (eIDAS), to tell qualified time stamps."),
+]
 Jwks = Annotated[
     Path | None, typer.Option("--jwks", help="Public keys of a service whose log is trusted (/.well-known/jwks.json).")
 ]
 
 
-def read_trust(certificates: Path | None, jwks: Path | None) -> Trust:
+def read_trust(certificates: Path | None, jwks: Path | None, listed: Path | None = None) -> Trust:
     """What the options name; nobody is trusted otherwise."""
     from engine.records.attestation import Trust
 
-    trusted = read_certificates(certificates) if certificates is not None else []
-    return Trust(trusted, read_jwks(jwks)) if jwks is not None else Trust(trusted)
+    trusted, qualified = (read_certificates(each) if each is not None else [] for each in (certificates, listed))
+    return Trust(trusted, qualified, read_jwks(jwks) if jwks is not None else {"keys": []})
 
 
 def read_jwks(path: Path) -> Json:

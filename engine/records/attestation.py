@@ -49,6 +49,7 @@ class Trust:
     """Whose word counts for a reader."""
 
     certificates: Sequence[x509.Certificate] = ()  # that vouch for time-stamping services
+    listed: Sequence[x509.Certificate] = ()  # on a trusted list (eIDAS): they tell qualified stamps from plain ones
     jwks: Mapping[str, Any] = field(default_factory=lambda: {"keys": []})  # public keys of services with a log
 
 

@@ -9,6 +9,7 @@ from datetime import UTC
 from http.client import HTTPException
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import utils
 from rfc3161_client import (
     HashAlgorithm,
@@ -24,7 +25,9 @@ SECONDS = 10.0
 """How long a time-stamping service may take to answer, and to send its answer."""
 MOST_BYTES = 64 * 1024
 
-_OCTETS, _SEQUENCE, _SET = 0x04, 0x30, 0x31  # tags of DER
+_OCTETS, _OID, _SEQUENCE, _SET = 0x04, 0x06, 0x30, 0x31  # tags of DER
+_QC_STATEMENTS = x509.ObjectIdentifier("1.3.6.1.5.5.7.1.3")
+_QC_COMPLIANCE = bytes.fromhex("04008e460101")  # id-etsi-qcs-QcCompliance, 0.4.0.1862.1.1, in DER
 
 
 class TimestampFault(Exception):
@@ -157,11 +160,57 @@ def _ask(url: str, query: bytes) -> bytes:
 
 def authority_of(token: bytes) -> str:
     """Name of whoever gave a stamp, as its certificate has it."""
-    for raw in _read(token).signed_data.certificates:
+    certificate = _signer(token)
+    return (
+        "a time-stamping service without a certificate" if certificate is None else certificate.subject.rfc4514_string()
+    )
+
+
+def qualification(token: bytes, listed: Sequence[x509.Certificate]) -> str:
+    """Whether a stamp that `check_stamp` took is a qualified one (Regulation (EU) 910/2014, eIDAS, article 42), in
+    words; "" where no certificates `listed` on a trusted list are given to tell it by.
+
+    Its signer's certificate must state that it is qualified (qcStatements, ETSI EN 319 412-5), and be listed itself or
+    issued by one that is.
+    """
+    certificate = _signer(token)
+    if not listed:
+        return ""
+    if certificate is None or not _states_qualified(certificate):
+        return "a plain time stamp: its certificate does not state that it is qualified (eIDAS)"
+    if certificate not in listed and not any(_issued(certificate, each) for each in listed):
+        return "a plain time stamp: its certificate is neither on the trusted list (eIDAS) nor issued by one that is"
+    return "a qualified time stamp (eIDAS)"
+
+
+def _signer(token: bytes) -> x509.Certificate | None:
+    """The certificate that the signature names: others in a stamp are not covered by it, and anybody can add some."""
+    signed = _read(token).signed_data
+    if len(signed.signer_infos) != 1:
+        return None
+    (signer,) = signed.signer_infos
+    for raw in signed.certificates:
         certificate = x509.load_der_x509_certificate(raw)
-        if _stamps_time(certificate):
-            return certificate.subject.rfc4514_string()
-    return "a time-stamping service without a certificate"
+        if (certificate.issuer, certificate.serial_number) == (signer.issuer, signer.serial_number):
+            return certificate
+    return None
+
+
+def _states_qualified(certificate: x509.Certificate) -> bool:
+    try:
+        stated = certificate.extensions.get_extension_for_oid(_QC_STATEMENTS).value.public_bytes()
+        (statements,) = _parts(stated, _SEQUENCE)
+        return any(_parts(each)[0] == (_OID, _QC_COMPLIANCE) for _, each in _parts(statements[1], _SEQUENCE))
+    except (x509.ExtensionNotFound, ValueError, IndexError):
+        return False
+
+
+def _issued(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(issuer)
+        return True
+    except (ValueError, TypeError, InvalidSignature):
+        return False
 
 
 def _read(token: bytes) -> TimeStampResponse:

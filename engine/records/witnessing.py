@@ -11,7 +11,7 @@ from engine.records.attestation import STAMP, Trust, Witness, header_digest, rea
 from engine.records.file import public_bytes, split
 from engine.records.merkle import check_inclusion, leaf_hash
 from engine.records.signatures import REGISTRATION, SignatureFault, verify
-from engine.records.timestamps import TimestampFault, authority_of, check_stamp, stamped_at
+from engine.records.timestamps import TimestampFault, authority_of, check_stamp, qualification, stamped_at
 
 __all__ = ["check_attestations"]
 
@@ -40,7 +40,8 @@ def _check_stamp(value: str, data: bytes, trust: Trust) -> Witness:
     if not trust.certificates:
         at = stamped_at(token, stamped)
         raise TimestampFault(f"a stamp of {at} is there, but no certificate was given to trust its author by")
-    return Witness(check_stamp(token, stamped, trust.certificates), authority_of(token))
+    at, kind = check_stamp(token, stamped, trust.certificates), qualification(token, trust.listed)
+    return Witness(at, f"{authority_of(token)}, by {kind}" if kind else authority_of(token))
 
 
 def _check_statement(value: str, data: bytes, trust: Trust) -> Witness:

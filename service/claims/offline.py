@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from engine.flows.records.draw import Draw
 from engine.records.merkle import check_inclusion, leaf_hash
 from engine.records.signatures import SignatureFault, verify
-from engine.records.timestamps import TimestampFault, authority_of, check_stamp, drawn_from, stamped_at
+from engine.records.timestamps import TimestampFault, authority_of, check_stamp, drawn_from, qualification, stamped_at
 from service.claims.arithmetic import Check, Status, arithmetic_fault, meaning_check
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
 from service.claims.document import summary_of
@@ -54,9 +54,13 @@ def verify_report(
     jwks: Mapping[str, Any],
     tsa_certificates: Sequence[x509.Certificate] = (),
     others: Sequence[bytes] = (),
+    listed: Sequence[x509.Certificate] = (),
 ) -> Findings:
     """Check a signed claim, a claim as JSON, or a report, by the keys that are trusted to sign claims, and the
-    certificates that are trusted to vouch for a time-stamping service; and whether `others` are of the same log."""
+    certificates that are trusted to vouch for a time-stamping service; and whether `others` are of the same log.
+
+    Certificates `listed` on a trusted list (eIDAS) tell qualified time stamps from plain ones.
+    """
     checks: list[Check] = []
 
     def say(code: str, fault: str, good: str) -> bool:
@@ -90,12 +94,12 @@ def verify_report(
         say("history", history_fault(audit), f"The log begins as it was when it had {sizes} entries.")
     checks += against_others(document, others, jwks)
     if document.get("drawing") is not None:  # 7
-        checks.append(_drawing(document, tsa_certificates))
+        checks.append(_drawing(document, tsa_certificates, listed))
     if document.get("acquisition") is not None or audit.get("acquisition") is not None:  # 10
-        checks.append(_acquisition(document, tsa_certificates))
+        checks.append(_acquisition(document, tsa_certificates, listed))
     checks += _around(data, carried, document, payload)  # 8
     if carried.timestamp is not None:  # 9
-        checks.append(_stamp(carried.timestamp, carried.jws, tsa_certificates))
+        checks.append(_stamp(carried.timestamp, carried.jws, tsa_certificates, listed))
     return Findings(tuple(checks), document, kid)
 
 
@@ -215,11 +219,20 @@ def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
     return Check(code, Status.FAIL, text)
 
 
-def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> Check:
+def _kind(token: bytes, listed: Sequence[x509.Certificate]) -> str:
+    """Whether a stamp is a qualified one, to end a sentence with."""
+    kind = qualification(token, listed)
+    return f": {kind}" if kind else ""
+
+
+def _stamp(
+    token: bytes, jws: str, certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
+) -> Check:
     try:
         if certificates:
             at = check_stamp(token, jws.encode(), certificates)
-            return Check("timestamp", Status.PASS, f"Stamped on {at} by a service that was vouched for.")
+            text = f"Stamped on {at} by a service that was vouched for{_kind(token, listed)}."
+            return Check("timestamp", Status.PASS, text)
         at = stamped_at(token, jws.encode())
     except TimestampFault as fault:
         return Check("timestamp", Status.FAIL, str(fault))
@@ -227,7 +240,9 @@ def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> 
     return Check("timestamp", Status.NOT_CHECKED, text)
 
 
-def _drawing(document: Mapping[str, Any], certificates: Sequence[x509.Certificate]) -> Check:
+def _drawing(
+    document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
+) -> Check:
     """Whether the stamp is about this original, and what it draws is what was registered."""
     drawing, original, found = document["drawing"], document["original"], document["audit"]["registration"]
     try:
@@ -240,14 +255,17 @@ def _drawing(document: Mapping[str, Any], certificates: Sequence[x509.Certificat
             raise TimestampFault("the time stamp draws something else than was registered")
         if certificates:
             word = draw.check(drawn, certificates)
-            return Check("drawing", Status.PASS, f"Drawn on {word.at} by {word.by}, who was vouched for.")
+            text = f"Drawn on {word.at} by {word.by}, who was vouched for{_kind(draw.token, listed)}."
+            return Check("drawing", Status.PASS, text)
     except (TimestampFault, ValueError) as fault:
         return Check("drawing", Status.FAIL, str(fault))
     text = "The rate rests on a time stamp; who gave it was not checked, for want of a certificate to trust."
     return Check("drawing", Status.NOT_CHECKED, text)
 
 
-def _acquisition(document: Mapping[str, Any], certificates: Sequence[x509.Certificate]) -> Check:
+def _acquisition(
+    document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
+) -> Check:
     """Whether the suspect is what was acquired, that was logged before the claim, and who says when it existed."""
     told, audit = document.get("acquisition"), document["audit"]
     found = audit.get("acquisition")
@@ -272,7 +290,8 @@ def _acquisition(document: Mapping[str, Any], certificates: Sequence[x509.Certif
     except (TimestampFault, ValueError) as fault:
         return Check("acquisition", Status.FAIL, f"the time stamp of the acquisition: {fault}")
     if certificates:
-        return Check("acquisition", Status.PASS, f"{origin}; {authority_of(token)} attests that it existed on {at}.")
+        text = f"{origin}; {authority_of(token)} attests that it existed on {at}{_kind(token, listed)}."
+        return Check("acquisition", Status.PASS, text)
     text = f"{origin}; a time stamp says that it existed on {at}; who gave it was not checked, for want of a"
     return Check("acquisition", Status.NOT_CHECKED, f"{text} certificate to trust.")
 

@@ -10,7 +10,7 @@ import typer
 from engine.cli.console import Console
 from engine.cli.failures import OK
 from engine.cli.options import Json
-from engine.cli.trust_options import TsaCertificates, read_certificates, read_jwks
+from engine.cli.trust_options import TrustedList, TsaCertificates, read_trust
 
 NOT_VALID = 3
 _SIGNS = {"pass": "ok  ", "fail": "FAIL", "not_checked": "-   "}
@@ -20,6 +20,7 @@ def verify_report(
     file: Annotated[Path, typer.Argument(help="Claim: .jws, .json, or the HTML report.")],
     jwks: Annotated[Path, typer.Option("--jwks", help="The service's public keys, from /.well-known/jwks.json.")],
     tsa_certificates: TsaCertificates = None,
+    trusted_list: TrustedList = None,
     other: Annotated[
         list[Path] | None, typer.Option("--other", help="Another claim of the service: is its log the same one?")
     ] = None,
@@ -44,10 +45,9 @@ def verify_report(
     from service.claims.document import document_words
 
     console = Console(json)
-    keys = read_jwks(jwks)
-    trusted = read_certificates(tsa_certificates) if tsa_certificates is not None else []
+    trust = read_trust(tsa_certificates, jwks, trusted_list)
     data, *others = (_read(path, MOST_BYTES + 1) for path in (file, *(other or ())))
-    found = offline.verify_report(data, keys, trusted, others)
+    found = offline.verify_report(data, trust.jwks, trust.certificates, others, trust.listed)
     for check in found.checks:
         console.say(f"{_SIGNS[check.status]} {check.code}: {check.text}")
     if found.document is not None:

@@ -15,7 +15,15 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec, utils
 
 from engine.records import timestamps
-from engine.records.timestamps import TimestampFault, check_stamp, drawn_from, make_query, stamp, stamped_at
+from engine.records.timestamps import (
+    TimestampFault,
+    check_stamp,
+    drawn_from,
+    make_query,
+    qualification,
+    stamp,
+    stamped_at,
+)
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the time stamps")
 JWS = b"eyJh.bbbb.cccc"
@@ -47,13 +55,25 @@ digests = sha256
 ess_cert_id_alg = sha256
 """
 
+QUALIFIED = """
+[ qc ]
+first = SEQUENCE:qc_type
+second = SEQUENCE:qc_compliance
+[ qc_type ]
+id = OID:0.4.0.1862.1.4
+[ qc_compliance ]
+id = OID:0.4.0.1862.1.1
+[ tsa ]
+1.3.6.1.5.5.7.1.3 = ASN1:SEQUENCE:qc
+"""
+
 
 class Authority:
     """A certificate authority and a time-stamping service under it, in a folder."""
 
-    def __init__(self, folder: Path, *, rsa: bool = False) -> None:
+    def __init__(self, folder: Path, *, rsa: bool = False, qualified: bool = False) -> None:
         self.folder = folder
-        (folder / "config").write_text(CONFIG)
+        (folder / "config").write_text(CONFIG.replace("[ tsa ]", QUALIFIED) if qualified else CONFIG)
         (folder / "serial").write_text("01")
         kind = ["rsa:2048"] if rsa else ["ec", "-pkeyopt", "ec_paramgen_curve:P-256"]
         new_key = ["-newkey", *kind, "-nodes", "-config", "config"]
@@ -284,3 +304,35 @@ def test_addresses_that_do_not_answer(url: str) -> None:
     stamped = stamp(url, JWS)
     assert stamped.token is None
     assert stamped.failure.startswith("no time stamp: ")
+
+
+def with_certificate(token: bytes, certificate: x509.Certificate) -> bytes:
+    """The stamp with one more certificate among those that come along, which no signature covers."""
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    def grow(data: bytes, depth: int) -> bytes:
+        values = parts(data)
+        if depth == 0:
+            at = next(index for index, (tag, _) in enumerate(values) if tag == 0xA0)
+            there = [der(*each) for each in parts(values[at][1])]
+            values[at] = (0xA0, b"".join(sorted([*there, certificate.public_bytes(Encoding.DER)])))
+        else:
+            values[-1] = (values[-1][0], grow(values[-1][1], depth - 1))
+        return b"".join(der(*each) for each in values)
+
+    return grow(token, 4)
+
+
+def test_a_qualified_stamp_is_told_from_a_plain_one(authority: Authority, token: bytes, tmp_path: Path) -> None:
+    other = Authority(tmp_path, qualified=True)
+    qualified = other.reply(make_query(JWS))
+    check_stamp(qualified, JWS, other.roots)
+    own = x509.load_pem_x509_certificate((tmp_path / "tsa.pem").read_bytes())
+    for listed in (other.roots, [own], [*authority.roots, own]):
+        assert qualification(qualified, listed) == "a qualified time stamp (eIDAS)"
+    assert qualification(qualified, []) == "", "there is nothing to tell it by"
+    assert qualification(qualified, authority.roots).startswith("a plain"), "it is on no list"
+    assert qualification(token, authority.roots).startswith("a plain"), "it states nothing of the kind"
+    dressed = with_certificate(token, own)
+    check_stamp(dressed, JWS, authority.roots)
+    assert qualification(dressed, [*authority.roots, *other.roots]).startswith("a plain"), "another's certificate"
