@@ -39,6 +39,8 @@ def test_no_date_of_the_owners_own_changes_the_rate(marked: Marked, capsys: Caps
         code, report = marked.ask(capsys, "attest", record, "--attestation", tmp_path / "reply.tsr", *trust)
         assert (code, report["attestations"], report["added"]) == (0, 1, added)
         assert "Test stamps" in report["witnesses"][0]["by"]
+    _, report = marked.ask(capsys, "attest", record, *trust, "--trusted-list", tmp_path / "ca.pem")
+    assert "a plain time stamp" in report["witnesses"][0]["by"]
     assert record.stat().st_mode & 0o777 == 0o600
     tomorrow = (datetime.now(UTC) + timedelta(days=1)).date().isoformat()
     for options, basis, rate in (

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from fastapi.testclient import TestClient
 from pydantic import ValidationError
@@ -26,6 +27,7 @@ from tests.records.test_timestamps import Authority, serving
 from tests.service.acquisitions.conftest import answer, sites  # noqa: F401
 from tests.service.acquisitions.test_fetching import Sites, warc_records
 from tests.service.api.conftest import SMALL, Api, _api
+from tests.service.client.driving import DRIVERS, do
 
 MODEL = SMALL.read_bytes()
 SHA256 = hashlib.sha256(MODEL).hexdigest()
@@ -159,3 +161,22 @@ def test_parts_that_are_left_out_are_nowhere(api: Api) -> None:
     assert not any("pack" in path or "shared" in path for path in bare)
     with pytest.raises(ValidationError):
         Settings(routers="webhooks,blackmail")
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_by_the_client(api: Api, sites: Sites, driver: str, tmp_path: Path) -> None:  # noqa: F811
+    served = with_settings(api, acquisitions_private=True).client
+
+    def through(request: httpx.Request) -> httpx.Response:
+        headers = {name: value for name, value in request.headers.items() if name != "authorization"}
+        path = request.url.raw_path.decode()
+        there = served.request(request.method, path, content=request.content, headers=headers)
+        return httpx.Response(there.status_code, headers=there.headers, content=there.content)
+
+    fetched = do(driver, through, "acquire", sites(answer(MODEL)).url("/a.ply"))
+    handed_in = do(driver, through, "acquire", MODEL)
+    assert fetched.payload_sha256 == handed_in.payload_sha256 == SHA256
+    assert do(driver, through, "acquisition", fetched.id).url == fetched.url
+    assert {each.id for each in do(driver, through, "acquisitions")} == {fetched.id, handed_in.id}
+    kept = do(driver, through, "warc", fetched.id, tmp_path / "a.warc.gz")
+    assert hashlib.sha256(kept.read_bytes()).hexdigest() == fetched.warc_sha256

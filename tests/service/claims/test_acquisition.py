@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import copy
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from engine.records.timestamps import make_query
 from service.claims.issuing import IssuedClaim, issue_claim
 from service.claims.offline import Check, Status, verify_report
+from service.cli.verify_report import verify_report as command
 from service.db.schema import acquisitions
 from service.problems import Problem
 from service.trust import audit
@@ -83,6 +85,22 @@ def test_with_a_stamp_a_third_party_says_when(registry: Registry, authority: Aut
     assert checked(claim.jws, registry).status is Status.NOT_CHECKED
     assert checked(claim.jws, registry, *authority.roots).status is Status.PASS
     assert checked(claim.jws, registry, *Authority(tmp_path).roots).status is Status.FAIL
+
+
+def test_the_command_says_what_was_checked(
+    registry: Registry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    authority = Authority(tmp_path, qualified=True)
+    acquire(registry, timestamp=authority.reply(make_query(canonical(acquisition_facts(ROW)))))
+    (tmp_path / "claim.jws").write_text(issue(registry).jws)
+    (tmp_path / "jwks.json").write_text(json.dumps(registry.jwks))
+    assert command(tmp_path / "claim.jws", tmp_path / "jwks.json", None, None, None, False) == 0
+    assert "acquisition" in capsys.readouterr().out.splitlines()[-1]
+    trusted = tmp_path / "ca.pem"
+    command(tmp_path / "claim.jws", tmp_path / "jwks.json", trusted, trusted, None, False)
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "acquisition:" in line)
+    assert line.startswith("ok")
+    assert "a qualified time stamp" in line
 
 
 def test_the_rate_and_the_conditions_stay(registry: Registry, authority: Authority) -> None:
