@@ -42,7 +42,7 @@ def acquire(
     from engine.records.timestamps import stamp
     from engine.usecases.files import check_target, whole_file
     from service.acquisitions.archive import write_warc
-    from service.acquisitions.fetching import TOOL, fetch
+    from service.acquisitions.fetching import TOOL, Exchange, fetch
     from service.blobs import digest_of
     from service.clock import now
 
@@ -51,7 +51,7 @@ def acquire(
         if target is not None:
             check_target(target)
     with TemporaryDirectory() as folder:
-        body, exchanges, at = Path(source), [], now()
+        body, exchanges, at = Path(source), list[Exchange](), now()
         if fetched:
             body = Path(folder) / "body"
             exchanges, _ = asyncio.run(fetch(source, body, max_bytes, seconds, private=private))
@@ -62,7 +62,11 @@ def acquire(
         if save is not None:
             with whole_file(save) as part:
                 part.write_bytes(body.read_bytes())
-        report = {"url": source if fetched else None, "at": exchanges[-1].at if exchanges else at, "tool": TOOL}
+        report: dict[str, str | int | None] = {
+            "url": source if fetched else None,
+            "at": exchanges[-1].at if exchanges else at,
+            "tool": TOOL,
+        }
         report |= {"bytes": body.stat().st_size, "payload_sha256": digest_of(body), "warc_sha256": digest_of(out)}
     if tsa is not None:
         stamped = stamp(tsa, out.read_bytes())

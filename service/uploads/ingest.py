@@ -88,7 +88,7 @@ def inspect(service: Service, rows: Sequence[Any]) -> list[Any]:
 
     What takes too long to say is left to the job. Where one is unreadable-model and the like, all are dropped.
     """
-    infos: dict[str, dict[str, Any]] = {}
+    infos: dict[str, Mapping[str, Any]] = {}
     with task_folder(service.settings) as folder:
         paths = {row.id: service.blobs.local(row.sha256, folder) for row in rows}
         kinds = {row.id: store.kind_of(paths[row.id], row.name) for row in rows}
@@ -96,8 +96,10 @@ def inspect(service: Service, rows: Sequence[Any]) -> list[Any]:
         others = [row for row in rows if kinds[row.id] != "picture" and row.size <= INSPECTED_BYTES]
         try:
             if pictures:
-                asked = {"pictures": [str(paths[row.id]) for row in pictures]}
-                found = _look(service, "pictures", asked, folder, rows[0].tenant).get("pictures", [{}] * len(pictures))
+                together = {"pictures": [str(paths[row.id]) for row in pictures]}
+                found = _look(service, "pictures", together, folder, rows[0].tenant).get(
+                    "pictures", [{}] * len(pictures)
+                )
                 infos |= {row.id: size for row, size in zip(pictures, found, strict=True)}
             for row in others:
                 asked = {kinds[row.id]: str(paths[row.id]), "spz_frame": "auto"}
