@@ -20,10 +20,10 @@ def verify_report(
     file: Annotated[Path, typer.Argument(help="Claim: .jws, .json, or the HTML report.")],
     jwks: Annotated[Path, typer.Option("--jwks", help="The service's public keys, from /.well-known/jwks.json.")],
     tsa_certificates: TsaCertificates = None,
-    trusted_list: TrustedList = None,
     other: Annotated[
         list[Path] | None, typer.Option("--other", help="Another claim of the service: is its log the same one?")
     ] = None,
+    trusted_list: TrustedList = None,
     json: Json = False,
 ) -> int:
     """Check a claim offline: signature, document, place in the audit log, report.

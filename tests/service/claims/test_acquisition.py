@@ -97,7 +97,7 @@ def test_the_command_says_what_was_checked(
     assert command(tmp_path / "claim.jws", tmp_path / "jwks.json", None, None, None, False) == 0
     assert "acquisition" in capsys.readouterr().out.splitlines()[-1]
     trusted = tmp_path / "ca.pem"
-    command(tmp_path / "claim.jws", tmp_path / "jwks.json", trusted, trusted, None, False)
+    command(tmp_path / "claim.jws", tmp_path / "jwks.json", trusted, None, trusted, False)
     (line,) = (line for line in capsys.readouterr().out.splitlines() if "acquisition:" in line)
     assert line.startswith("ok")
     assert "a qualified time stamp" in line

@@ -21,8 +21,9 @@ EXAMPLES = os.environ.get("MARK3DGS_CONTRACT_EXAMPLES", "10")
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    """A service with an asset and a claim in it."""
-    made = serving.start(tmp_path, EMBEDS_PER_HOUR="1000000", VERIFIES_PER_HOUR="1000000")
+    """A service with an asset and a claim in it; after the first acquisition it asks no address for anything."""
+    budgets = {"EMBEDS_PER_HOUR": "1000000", "VERIFIES_PER_HOUR": "1000000", "ACQUISITIONS_PER_HOUR": "1"}
+    made = serving.start(tmp_path, **budgets)
     yield made
     made.stop()
 
@@ -36,8 +37,11 @@ def filled(served: Served) -> dict[str, str]:
         body = {"asset_id": asset}
         claim = client.post("/v1/verify", data=body, files={"model": SMALL.read_bytes()}).json()["result"]["claim_id"]
         hook = client.post("/v1/webhooks", json={"url": "https://hooks.example/"}).json()["id"]
+        upload = client.get("/v1/uploads").json()["items"][0]["id"]
+        acquired = client.post("/v1/acquisitions", json={"upload_id": upload}).json()["id"]
         share = client.post(f"/v1/claims/{claim}/share", json={}).json()
     shared = {"share_id": share["id"], "token": share["url"].rpartition("/")[2]}
+    shared["acquisition_id"] = acquired
     return {"asset_id": asset, "claim_id": claim, "webhook_id": hook, **shared}
 
 
@@ -68,4 +72,4 @@ def test_all_checks(served: Served, tmp_path: Path) -> None:
     ]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout[-6000:] + served.log()[-3000:]
-    assert "Tested: 45" in done.stdout
+    assert "Tested: 50" in done.stdout
