@@ -79,7 +79,8 @@ def test_a_copy_is_claimed_and_the_claim_checked_offline(
     served: Served, alice: Client, marked: Embedded, model: bytes, tmp_path: Path
 ) -> None:
     stages = list[str]()
-    found = alice.verify(model, progress=lambda stage, share: stages.append(stage))
+    acquired = alice.acquire(model)
+    found = alice.verify(model, acquisition_id=acquired.id, progress=lambda stage, share: stages.append(stage))
     assert (found.verdict, found.asset_id) == ("marked", marked.asset_id)
     assert found.log10_false_claim < -100
     assert (stages[0], stages[-1]) == ("upload", "commit")
@@ -87,6 +88,7 @@ def test_a_copy_is_claimed_and_the_claim_checked_offline(
     assert claim.document["copy"] == "acme"
     assert claim.document["message"]["hex"] == marked.message
     assert claim.document["audit"]["registration"]["entry"]["at"] < claim.document["created_at"]
+    assert claim.document["acquisition"]["warc_sha256"] == acquired.warc_sha256
     assert found.claim_id in [each.id for each in alice.claims()]
     alice.jws(found.claim_id, tmp_path / "claim.jws")
     alice.report(found.claim_id, tmp_path / "report.html")
@@ -95,6 +97,7 @@ def test_a_copy_is_claimed_and_the_claim_checked_offline(
     for name in ("claim.jws", "claim.json", "report.html"):
         done = mark3dgs(served, "verify-report", str(tmp_path / name), "--jwks", str(tmp_path / "jwks.json"))
         assert done.returncode == 0, done.stdout + done.stderr
+        assert "acquisition" in done.stdout.splitlines()[-1], "no third party says when the suspect was there"
     forged = (tmp_path / "claim.json").read_text().replace(marked.message, "ffffffff")
     (tmp_path / "forged.json").write_text(forged)
     done = mark3dgs(served, "verify-report", str(tmp_path / "forged.json"), "--jwks", str(tmp_path / "jwks.json"))
