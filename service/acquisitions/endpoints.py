@@ -21,6 +21,7 @@ from service.http.forms import Asked
 from service.http.results import Time
 from service.trust.api_keys import Caller
 from service.trust.commitments import forget
+from service.uploads import store
 
 router = APIRouter(prefix="/v1/acquisitions", tags=["acquisitions"])
 Viewer = Annotated[Caller, Depends(may("read", "verify"))]
@@ -105,10 +106,9 @@ async def acquire(body: NewAcquisition, core: Core, caller: Verifier, response: 
 
 async def _fetched(core: Service, caller: Caller, url: str) -> tuple[Any, str]:
     limits = core.settings
+    most = min(limits.max_upload_bytes, await asyncio.to_thread(store.left, core, caller.tenant))
     with core.blobs.new_file() as body:
-        exchanges, got = await fetch(
-            url, body, limits.max_upload_bytes, limits.acquire_seconds, private=limits.acquisitions_private
-        )
+        exchanges, got = await fetch(url, body, most, limits.acquire_seconds, private=limits.acquisitions_private)
         return await asyncio.to_thread(registry.keep_fetched, core, caller, url, body, got, exchanges)
 
 

@@ -81,10 +81,13 @@ def room(service: Service, row: Any) -> int:
     """Bytes that may still come: as many as were announced, or else as the limits leave."""
     if row.size is not None:
         return int(row.size - row.received)
-    limits = service.settings
+    return min(service.settings.max_upload_bytes - int(row.received), left(service, row.tenant))
+
+
+def left(service: Service, tenant: str) -> int:
+    """Bytes that a tenant may still store."""
     with service.db.read() as connection:
-        left = limits.tenant_bytes - stored_bytes(connection, row.tenant)
-    return min(limits.max_upload_bytes - int(row.received), left)
+        return service.settings.tenant_bytes - stored_bytes(connection, tenant)
 
 
 def add_part(service: Service, row: Any, path: Path, got: Received) -> Any:

@@ -128,6 +128,8 @@ def test_limits(api: Api, sites: Sites) -> None:  # noqa: F811
     small = with_settings(api, acquisitions_private=True, max_upload_bytes=1999, acquisitions_per_hour=2)
     statuses = [small.client.post("/v1/acquisitions", json={"url": site.url()}).status_code for _ in range(3)]
     assert statuses == [413, 413, 429]
+    nearly = with_settings(api, acquisitions_private=True, tenant_bytes=1000)
+    assert nearly.client.post("/v1/acquisitions", json={"url": site.url()}).status_code == 413
     full = with_settings(api, tenant_bytes=len(MODEL) + 100)
     slot = full.upload(MODEL)
     assert full.client.post("/v1/acquisitions", json={"upload_id": slot}).json()["type"].endswith("quota-exceeded")

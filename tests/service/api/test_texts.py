@@ -19,6 +19,7 @@ DOCUMENT = json.loads((ROOT / "openapi" / "openapi.json").read_text())
 OPERATIONS = [(method, path) for path, methods in DOCUMENT["paths"].items() for method in methods]
 BODIES = {
     "/v1/uploads": {"name": "?"},
+    "/v1/acquisitions": {"upload_id": "?"},
     "/v1/keys": {"label": "?"},
     "/v1/embed": {"upload_id": "up_1", "copy_name": "?"},
     "/v1/verify": {"image_upload_ids": ["?"]},
