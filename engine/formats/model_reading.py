@@ -123,7 +123,7 @@ def _read_folder(path: Path, file: str) -> LoadedModel:
     elif (path / _META).is_file():
         model, repairs = read_sog_folder(path)
         there = sorted(path.iterdir(), key=lambda p: p.name)
-        names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix == ".webp"))
+        names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix in (".webp", ".png")))
     else:
         raise UnsupportedFormatError(f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene", file=file)
     return LoadedModel(model, "sog", repairs, *weigh_files(path, names))

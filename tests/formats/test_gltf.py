@@ -67,6 +67,14 @@ def test_text_with_its_buffer_inside_is_the_same() -> None:
         read_model(away)
 
 
+def test_degree_four_is_read_to_degree_three() -> None:
+    attributes = splats(20, 4)
+    loaded = read_model(glb_of(*asset_of(attributes)))
+    assert {repair.code for repair in loaded.repairs} - {"quaternions_normalized"} == {"degree_dropped"}
+    third = {name: values for name, values in attributes.items() if "SH_DEGREE_4" not in name}
+    assert_same(loaded.model, read_model(glb_of(*asset_of(third))).model)
+
+
 def test_integers_are_what_their_accessors_say() -> None:
     """KHR_gaussian_splatting's own table of component types, and strides between rows."""
     plain = splats(60, 0)
