@@ -54,7 +54,9 @@ class ZipArchive:
             raise FormatError(f"damaged zip archive ({fault})", file=file) from None
         self._entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
-            name = entry.filename.replace("\\", "/").removeprefix("./")  # as some programs of Windows and tar write them
+            name = entry.filename.replace("\\", "/").removeprefix(
+                "./"
+            )  # as some programs of Windows and tar write them
             if name in self._entries:
                 raise FormatError("zip archive holds two entries of this name", file=file, element=name)
             self._entries[name] = entry

@@ -8,8 +8,8 @@ from engine.formats.guards import check_count
 from engine.formats.modes import with_mode
 from engine.formats.repairs import Repair, clean
 from engine.formats.sog.archive import Archive
-from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW, REST_COEFFICIENTS, Palette, SogMeta
 from engine.formats.sog.images import Pixels, decode_lossless, lossless_size
+from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW, REST_COEFFICIENTS, Palette, SogMeta
 from engine.model import Float32, GaussianModel
 
 QUATERNION_TAG = 252

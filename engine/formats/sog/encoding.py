@@ -12,9 +12,9 @@ from engine.formats.morton import morton_order
 from engine.formats.sog.archive import META
 from engine.formats.sog.codebook import learn_codebook, nearest_codes
 from engine.formats.sog.decoding import OTHERS, QUATERNION_TAG
+from engine.formats.sog.images import MAX_SIDE, Pixels, encode_webp
 from engine.formats.sog.meta import PALETTE_ROW
 from engine.formats.sog.palette import learn_palette, palette_size
-from engine.formats.sog.images import MAX_SIDE, Pixels, encode_webp
 from engine.kernels.jit import side_by_side
 from engine.model import Float32, Float64, GaussianModel
 from engine.numerics.plain import Json
