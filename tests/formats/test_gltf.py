@@ -177,7 +177,15 @@ def test_what_has_no_place_here_is_refused_by_name(data: bytes, what: str) -> No
 
 def test_it_is_told_by_its_first_bytes() -> None:
     assert looks_like_gltf(encode_model(random_model(0, 10), "glb"))
-    assert looks_like_gltf(b' {"asset": {}}')
+    assert looks_like_gltf(b' {"asset": {"version": "2.0"}}')
+    assert looks_like_gltf(b'{"asset": {"version": "2.0"}, "nodes": [')  # cut off: its reader says so
+    for other in (
+        b"{}",
+        b'{"asset": {}}',
+        b'{"version": "5.0"}',
+        b'{"asset": {"version": "1.1"}, "geometricError": 1}',
+    ):
+        assert not looks_like_gltf(other)
     for seed in range(300):
         noise = np.random.default_rng(seed).bytes(2000)
         assert not looks_like_gltf(b"{" + noise)

@@ -7,6 +7,7 @@ and SPZ's converter take them. The compression by SPZ (KHR_gaussian_splatting_co
 and by L-GSC (2551) are drafts: files that need them are refused by name.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -38,10 +39,21 @@ _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
 def looks_like_gltf(data: bytes | memoryview) -> bool:
-    """Whether bytes begin as a GLB, or as the JSON object of a .gltf."""
+    """Whether bytes begin as a GLB, or are the JSON of a .gltf: an object that names a version in its `asset`, which
+    tiles of 3D Tiles do as well. JSON that cannot be parsed, with such a member, is a damaged one."""
     head = bytes(data[:1024])
-    text = head.lstrip()[:1] == b"{" and not any(byte < 32 and byte not in b"\t\n\r" for byte in head)
-    return head.startswith(MAGIC) or text
+    if head.startswith(MAGIC):
+        return True
+    if head.lstrip()[:1] != b"{" or any(byte < 32 and byte not in b"\t\n\r" for byte in head):
+        return False
+    text = bytes(data)
+    if b'"asset"' not in text or b'"geometricError"' in text:
+        return False
+    try:
+        asset = json.loads(text).get("asset")
+    except (ValueError, RecursionError):
+        return True
+    return isinstance(asset, dict) and "version" in asset
 
 
 def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
@@ -55,7 +67,7 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
     _check_required(asset)
     shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
     if not shown:
-        message = f"holds no Gaussians: no primitive that is shown has {EXTENSION}"
+        message = f"holds no Gaussians, only a mesh or points: no primitive that is shown has {EXTENSION}"
         raise UnsupportedFormatError(message, file=file, element="meshes")
     total = sum(asset.length(_attributes(asset, primitive)["POSITION"]) for primitive, _ in shown)
     check_count(total, len(data), file=file)

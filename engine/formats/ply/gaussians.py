@@ -23,6 +23,7 @@ REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16, 72: 16}
 """Number of f_rest properties -> coefficients a channel that are read: of degree 4, those of degree 3."""
 
 _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
+_ANCHORS = ("f_anchor", "f_offset", "anchor_feat")
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 
@@ -108,6 +109,9 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[R
         there = ", ".join(repr(e.name) for e in header.elements[:5])
         raise FormatError(f"has no element 'vertex', only {there}", file=file)
     refuse_motion(vertex, file=file)
+    if "f_dc_0" not in vertex.names and any(name.startswith(_ANCHORS) for name in vertex.names):
+        message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
+        raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
         message = "is missing; where the colors lie in codebooks beside the file (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")

@@ -6,7 +6,7 @@ readers of playcanvas/splat-transform. The axes are those of PLY.
 
 from pathlib import Path
 
-from engine.errors import FormatError, UnsupportedFormatError
+from engine.errors import FormatError
 from engine.formats.repairs import Repair
 from engine.formats.sog.archive import MAX_META_BYTES, META, Folder, Within, ZipArchive, write_zip
 from engine.formats.sog.decoding import decode_scene
@@ -30,9 +30,6 @@ def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
         from engine.formats.sog.streamed import read_streamed
 
         return read_streamed(archive, file=file)
-    if not archive.has(META):
-        text = f"is a zip archive without {META}, no SOG scene: unpack it, and give one model of those in it"
-        raise UnsupportedFormatError(text, file=file)
     scene = Within(archive, archive.folder_of(META))
     meta = parse_meta(scene.read(META, MAX_META_BYTES), file=file)
     return decode_scene(meta, scene, file=file)
