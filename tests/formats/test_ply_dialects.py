@@ -108,7 +108,8 @@ def test_a_prefix_of_the_names_is_dropped(prefix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "full"), [("uchar", 255), ("ushort", 65535), ("float", 1), ("float", 255), ("double", 1)]
+    ("kind", "full"),
+    [("uchar", 255), ("int", 255), ("ushort", 255), ("ushort", 65535), ("float", 1), ("float", 255), ("double", 1)],
 )
 @pytest.mark.parametrize("names", [("red", "green", "blue"), ("r", "g", "b")])
 def test_colors_stand_for_the_first_coefficients(kind: str, full: int, names: tuple[str, ...]) -> None:

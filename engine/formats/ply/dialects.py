@@ -17,7 +17,6 @@ __all__ = ["DC", "activation_hints", "dc_of_colors", "plain_names", "plain_types
 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-_COLOR_CODES = ("u1", "u2", "f2", "f4", "f8")
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
 _CODE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"}
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_dc": 1e3, "f_rest": 1e3}
@@ -50,8 +49,7 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
             count = sum(a != b for a, b in zip(names, new, strict=True))
             repairs.append(Repair("names_prefixed", count, f"the prefix {prefix[:40]!r} of {count} names was dropped"))
             names = new
-    codes = {name: p.code for name, p in zip(names, vertex.properties, strict=True)}
-    colors = next((c for c in _COLORS if all(codes.get(name) in _COLOR_CODES for name in c)), None)
+    colors = next((c for c in _COLORS if set(c) <= set(names)), None)
     if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:
         table = dict(zip(colors, DC, strict=True))
         names = [table.get(name, name) for name in names]
@@ -115,8 +113,9 @@ def _in_whole_units(records: npt.NDArray[np.void]) -> bool:
 
 
 def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:
-    """(N, 3) first coefficients of colors in steps of their integer type, in 0..1, or in 0..255."""
-    full = float(np.iinfo(code).max) if code.kind == "u" else 1.0 if np.nanmax(colors, initial=0.0) <= 2.0 else 255.0
+    """(N, 3) first coefficients of colors of that type: floats in 0..1, else 0..255, or all that their type holds."""
+    most = float(np.nanmax(colors, initial=0.0))
+    full = 1.0 if code.kind == "f" and most <= 2.0 else 255.0 if code.kind == "f" or most <= 255 else np.iinfo(code).max
     return ((colors / np.float32(full) - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
 
 

@@ -115,19 +115,19 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[R
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
         message = "is missing; where the colors lie in codebooks beside the file (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
-    if "f_dc_0" not in vertex.names:
+    if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names
         what = "a colored point cloud" if colored else "a point cloud or a mesh"
         message = f"is {what}, not a Gaussian model: it has no colors f_dc_0, scales, rotations and opacity"
         raise UnsupportedFormatError(message, file=file, element="vertex")
-    needed = ["x", "y", "z", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
+    needed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
     for name in [*needed, "rot_0", "rot_1", "rot_2", "rot_3"]:
         if name not in vertex.names:
             raise FormatError("is missing", file=file, element="vertex", prop=name)
 
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
-    known = {*needed, FILTER, "f_dc_0", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
+    known = {*needed, FILTER, "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
     known |= {f"f_rest_{i}" for i in range(rest)}
     used = [p.name for p in vertex.properties if p.name in known]
     extra = [p.name for p in vertex.properties if p.name not in known and p.name not in _NORMALS]
