@@ -49,7 +49,7 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
         far = float(np.abs(model.means[strays]).max())
         noun = "Gaussian" if len(strays) == 1 else "Gaussians"
         notes.append(
-            f"{len(strays)} {noun} (first in row {strays[0]}), {far:.3g} and less from the others, left out: .{format}"
+            f"{len(strays)} {noun} (first in row {strays[0]}), up to {far:.3g} from the others, left out: .{format}"
             " rounds all others away where it holds them; .ply, .splat and .glb hold both"
         )
     return notes

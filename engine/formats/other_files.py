@@ -55,7 +55,8 @@ _KINDS = (
     _Other(
         "holds the weights of a network or the tensors of a training: export its Gaussians as .ply",
         (b"\x89HDF",),
-        endings=(".safetensors", ".h5", ".hdf5", ".onnx"),
+        lambda data: data[4:9] == b"\0\0\0\0{",  # safetensors: the length of a JSON header, and that
+        (".safetensors", ".h5", ".hdf5", ".onnx"),
     ),
     _Other(
         "is a scene of XGRIDS (LCC), read with the files beside it: export .ply from LCC Studio, or " + _CONVERTED,

@@ -139,7 +139,7 @@ NOISE = bytes(range(1, 98))
         (b"\x80\x02\x8a" + NOISE, "chkpnt30000.pth", "PyTorch.*point_cloud.ply"),
         (zip_of("means.npy", "sh.npy"), "splats.npz", "numpy"),
         (b"\x93NUMPY\1\0" + NOISE, "x", "numpy"),
-        (b"\x40" + bytes(7) + b'{"means":{}}', "model.safetensors", "tensors"),
+        (b"\x40" + bytes(7) + b'{"means":{}}', "x", "tensors"),
         (b'{"version": "5.0", "totalSplats": 1000, "totalLevel": 5}', "meta", "XGRIDS.*splat-transform FILE"),
         (b'{"version": "5.0"}', "scene.lcc", "XGRIDS"),
         (b'{"tree": {}}', "scene.LCC2", "XGRIDS.*splat-transform FILE"),

@@ -19,7 +19,7 @@ DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
 _CODE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"}
-_HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_dc": 1e3, "f_rest": 1e3}
+_HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
 _LEAST_HALF = 2.0**-10
 """Whole numbers below 5,120 are half floats below this: a column of them has no larger value."""
 
@@ -148,8 +148,9 @@ def activation_hints(log_scales: Float32, logits: Float32) -> list[Repair]:
     if len(logits) < _FEW:
         return hints
     what = "no change was made; if it renders as fog, export raw values"
-    if log_scales.min() > 0 and np.median(log_scales) < 1:
+    opacities = logits.min() >= 0 and logits.max() <= 1 and logits.min() < logits.max()
+    if log_scales.min() > 0 and (opacities or np.median(log_scales) < 1):
         hints.append(Repair("scales_activated", len(logits), f"scales look activated (already exponentiated): {what}"))
-    if logits.min() >= 0 and logits.max() <= 1 and logits.min() < logits.max():
+    if opacities:
         hints.append(Repair("opacities_activated", len(logits), f"opacities look activated (already 0 to 1): {what}"))
     return hints
