@@ -49,6 +49,7 @@ def catalogue(entries: dict[str, Entry], tmp_path_factory: pytest.TempPathFactor
     return Catalogue.load(sorted(folder.parent.glob("grown*"))[-1])
 
 
+@pytest.mark.long
 def test_a_lump_stands_for_several_assets(entries: dict[str, Entry], catalogue: Catalogue) -> None:
     assert len(catalogue) == len(entries) == strangers.RELATIVES + 1
     assert catalogue.unseen == []

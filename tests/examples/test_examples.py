@@ -67,6 +67,7 @@ def test_the_program_of_the_readme_runs(plant: Path, tmp_path: Path) -> None:
     assert run("program.py", folder=tmp_path).startswith("marked -")
 
 
+@pytest.mark.long
 def test_the_service_finds_the_copy_it_marked(plant: Path, tmp_path: Path) -> None:
     served = serving.start(tmp_path)
     try:

@@ -46,7 +46,7 @@ def read(scene: MarkedScene, picture: Float32) -> Verification:
     return verify_images([picture], scene.opened)
 
 
-@pytest.mark.parametrize(("behind", "least"), [(0.0, LEAST[0]), (0.7, LEAST[1])])
+@pytest.mark.parametrize(("behind", "least"), [pytest.param(0.0, LEAST[0], marks=pytest.mark.long), (0.7, LEAST[1])])
 def test_a_bent_model_is_read_part_by_part(scene: MarkedScene, camera: Camera, behind: float, least: float) -> None:
     assert read(scene, shot(bend(scene.marked, 8.0), camera, behind)).claim.z > least
 

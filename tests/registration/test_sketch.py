@@ -147,6 +147,7 @@ def test_tiny_models_are_compared_too(plant: GaussianModel, count: int) -> None:
     assert 0 <= SuspectIndex(tiny).resemblance(sketch) < count
 
 
+@pytest.mark.long
 def test_thousands_of_one_look_cost_no_more_than_a_few(plant: GaussianModel, sketch: Sketch) -> None:
     one = plant.take(np.zeros(30_000, np.int64)).with_(means=plant.means[:30_000])
     crowd = SuspectIndex(one)

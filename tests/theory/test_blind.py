@@ -67,10 +67,24 @@ def walk(suspect: Suspect, opened: OpenedRecord) -> list[Reading]:
     return list(readings(suspect, opened, suspect.routes("auto"), 0, Clock(None)))
 
 
-def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: MarkedScene) -> None:
+Read = dict[str, tuple[Suspect, list[Reading]]]
+
+
+@pytest.fixture(scope="module")
+def kept() -> Read:
+    return {}
+
+
+@pytest.fixture
+def read(scene: MarkedScene, kept: Read, small_renders: None) -> Read:
+    """Each suspect, and what is read of it with the owner's record; once for all tests."""
+    kept.update(kept or {name: (each, walk(each, scene.opened)) for name, each in suspects(scene).items()})
+    return kept
+
+
+def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: MarkedScene, read: Read) -> None:
     routes = set()
-    for name, suspect in suspects(scene).items():
-        true = walk(suspect, scene.opened)
+    for name, (suspect, true) in read.items():
         assert any(note.startswith("blurred: picture 1") for note in true[0].notes) == (name == "pictures")
         for one, other in zip(true, walk(suspect, drawn_anew(scene.opened, 1)), strict=True):
             a, b = one.evidence, other.evidence
@@ -84,12 +98,12 @@ def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: Mar
     assert routes == {"model", "both", "image"}
 
 
-def test_evidence_of_the_copy_layer_is_the_same_whatever_its_chips_are(scene: MarkedScene) -> None:
+def test_evidence_of_the_copy_layer_is_the_same_whatever_its_chips_are(scene: MarkedScene, read: Read) -> None:
     """The owner's layer is taken off before; the copy's own values enter nothing."""
     opened = replace(scene.opened, copy_key=bytes(32))
     assert opened.copies is not None
-    for name, suspect in suspects(scene).items():
-        for one, other in zip(walk(suspect, scene.opened), walk(suspect, opened), strict=True):
+    for name, (suspect, true) in read.items():
+        for one, other in zip(true, walk(suspect, opened), strict=True):
             assert one.copied is not None
             assert other.copied is not None
             assert one.copied.y.tobytes() == other.copied.y.tobytes(), (name, one.route)
