@@ -3,11 +3,14 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import LoadedModel, encode_model, read_model
 from engine.model import SH_C0
 from tests.formats.models import names_of, random_model
+from tests.formats.spz_scenes import assert_valid
 
 CODES = {"ushort": "u2", "uint16": "u2", "short": "i2", "int16": "i2", "half": "f2"} | {
     "uchar": "u1", "char": "i1", "int": "i4", "uint": "u4", "float": "f4", "double": "f8"
@@ -147,3 +150,31 @@ def test_activated_values_are_hinted_at_and_kept() -> None:
     assert codes(loaded) == {"scales_activated", "opacities_activated"}
     np.testing.assert_array_equal(loaded.model.opacity_logits, model.opacities)
     assert codes(read_model(encode_model(model, "ply"))) == set()
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_any_types_and_bits_give_a_sound_model_or_a_named_fault(data: st.DataObject) -> None:
+    names = [*names_of(1), "red", "green", "blue"]
+    common = data.draw(st.sampled_from(sorted(CODES)))
+    types = {name: data.draw(st.sampled_from([common] * 9 + sorted(CODES))) for name in names}
+    left_out = data.draw(st.sets(st.sampled_from(names), max_size=4))
+    prefix, order = data.draw(st.sampled_from(["", "scalar_"])), data.draw(st.sampled_from("<>"))
+    bits = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    columns = {}
+    for name in [name for name in names if name not in left_out]:
+        code = np.dtype(CODES[types[name]])
+        sound = (
+            bits.normal(size=9).astype(np.float16).view(np.uint16) if code.str[1:] in ("u2", "i2") else bits.random(9)
+        )
+        columns[prefix + name] = (
+            types[name],
+            sound if bits.random() < 0.8 else np.frombuffer(bits.bytes(9 * code.itemsize), code),
+        )
+    fault = "any.ply"
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            assert_valid(read_model(file_of(columns, order), name="any.ply").model)
+    except FormatError as error:
+        fault = str(error)
+    assert fault.startswith("any.ply")

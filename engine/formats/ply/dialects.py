@@ -99,7 +99,8 @@ def plain_types(
 
 def _plausible(values: npt.NDArray[Any], name: str) -> bool:
     """Whether half floats can be what a property of this name holds."""
-    found = np.abs(values.astype(np.float32))
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        found = np.abs(values.astype(np.float32))
     limit = next((most for start, most in _HALF_LIMITS.items() if name.startswith(start)), _LARGEST_HALF)
     good = (found <= limit) | (np.isinf(found) & (name == "opacity"))  # an opacity of 1 has an infinite logit
     if np.count_nonzero(good) < _SOUND_SHARE * len(found):
@@ -109,7 +110,8 @@ def _plausible(values: npt.NDArray[Any], name: str) -> bool:
 
 def _in_whole_units(records: npt.NDArray[np.void]) -> bool:
     """Whether sizes are such that centres may well be whole numbers: not far below one unit."""
-    return bool(np.exp(np.median(records["scale_0"].astype(np.float64))) > 1 / 20)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        return bool(np.median(records["scale_0"].astype(np.float64)) > np.log(1 / 20))
 
 
 def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:
