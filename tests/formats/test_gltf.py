@@ -75,6 +75,14 @@ def test_degree_four_is_read_to_degree_three() -> None:
     assert_same(loaded.model, read_model(glb_of(*asset_of(third))).model)
 
 
+def test_a_signalling_nan_drops_its_row_without_a_warning() -> None:
+    attributes = splats(20, 1)
+    attributes["POSITION"].view(np.uint32)[3, 0] = 0x7F800001
+    loaded = read_model(glb_of(*asset_of(attributes)))
+    assert len(loaded.model) == 19
+    assert "rows_dropped" in {repair.code for repair in loaded.repairs}
+
+
 def test_integers_are_what_their_accessors_say() -> None:
     """KHR_gaussian_splatting's own table of component types, and strides between rows."""
     plain = splats(60, 0)
