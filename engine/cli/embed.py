@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,6 +80,10 @@ def embed(
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Self-declared time of registration, or 'now'.")
     ] = "",
+    tsa: Annotated[
+        str | None,
+        typer.Option("--tsa", metavar="URL", help="Time-stamping service (RFC 3161) that draws a part, see below."),
+    ] = None,
     knobs: Knobs = None,
     spz_frame: SpzFrame = "auto",
     force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
@@ -110,6 +115,11 @@ def embed(
 
       mark3dgs embed scene.ply initech.ply --key owner.key --copy initech \
         --record initech.record --earlier acme.record
+
+    With --tsa a part of the watermark follows from a time stamp, so that nobody
+    can try records out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
+    where verify gets that service's certificate (--tsa-certificates). A digest
+    is sent, and nothing of the model; each embedding has another watermark.
     """
     console = Console(json)
     began = time.perf_counter()
@@ -135,6 +145,7 @@ def embed(
             bits=bits or 32,
             cameras=read_cameras(cameras) if cameras is not None else None,
             registered_at=datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at,
+            stamp=partial(_ask, tsa) if tsa is not None else None,
             earlier=Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None,
         ),
         profile=profile,
@@ -184,6 +195,16 @@ class CopyReport(Report):
         found = super().to_json()
         del found["mark"]
         return self.mark.to_json() | found
+
+
+def _ask(tsa: str, data: bytes) -> bytes:
+    """The reply of a time-stamping service; InputError where it gives none."""
+    from engine.records.timestamps import stamp
+
+    stamped = stamp(tsa, data)
+    if stamped.token is None:
+        raise InputError(f"{stamped.failure}: nothing was marked, try again later")
+    return stamped.token
 
 
 def _outputs(copies: list[str], out: Path, record: Path) -> dict[str, MarkOutput]:

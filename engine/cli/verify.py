@@ -107,7 +107,7 @@ def verify(
     Several pictures, or a folder of a video's frames, are read together.
 
     A claim needs 1 in 10^9 where a trusted time-stamping service drew a part of
-    the watermark (a service's records, --tsa-certificates), else 1 in 2^128.
+    the watermark (embed --tsa; --tsa-certificates here), else 1 in 2^128.
 
     Exit codes: 0 marked, 3 not marked, 4 inconclusive, 2 wrong key or input.
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
+from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 from tests.end_to_end.conftest import Marked
-from tests.records.test_timestamps import Authority
+from tests.records.test_timestamps import Authority, serving
 
 Capsys = pytest.CaptureFixture[str]
 
@@ -52,6 +52,26 @@ def test_no_date_of_the_owners_own_changes_the_rate(marked: Marked, capsys: Caps
     assert "no certificate was given" in claim["notes"][-1]
     beside = ("--attestation", tmp_path / "reply.tsr", *trust, "--suspect-seen", tomorrow)
     assert marked.verify(capsys, marked.model, *beside)[1]["rate_basis"] == "dated"
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the time stamps")
+def test_where_a_time_stamping_service_drew_a_claim_needs_less(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
+    authority, model, record = Authority(tmp_path), tmp_path / "drawn.ply", tmp_path / "drawn.record"
+    quick = ("--profile", "fast", "--set", "views=2", "--set", "view_size=128", "--set", "landmark_views=0")
+    made = ("embed", marked.scene, model, "--key", marked.key, "--record", record, *quick, "--tsa")
+    with serving(lambda _: b"", status=503) as url:
+        code, said = marked.ask(capsys, *made, url)
+    assert (code, model.exists(), record.exists()) == (2, False, False)
+    assert "no time stamp" in said["error"]["message"]
+    with serving(authority.reply) as url:
+        assert marked.ask(capsys, *made, url)[0] == 0
+    ask = ("verify", model, "--record", record, "--key", marked.key)
+    for trust, basis, rate in (
+        (("--tsa-certificates", tmp_path / "ca.pem"), "drawn", CHANCE_RATE),
+        ((), "self_declared", DISHONEST_CLAIMANT_RATE),
+    ):
+        code, claim = marked.ask(capsys, *ask, *trust)
+        assert (code, claim["rate_basis"], claim["false_claim_rate"]) == (0, basis, rate)
 
 
 @pytest.mark.long
