@@ -71,9 +71,6 @@ _KINDS = (
     ),
     _Other("is a Postshot project: export the scene as .ply (File > Export)", endings=(".psht",)),
     _Other(
-        "is a project of Luma AI: download the scene as .ply (Download > Gaussian splat)", endings=(".luma", ".lumaai")
-    ),
-    _Other(
         "is an OpenUSD scene, which is not read here: export its Gaussians as .ply",
         (b"PXR-USDC", b"#usda"),
         _zip_with(b".usdc", b".usda", b".usd"),
