@@ -6,9 +6,12 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats.kinds import FORMATS, KINDS, kind_of
 from engine.formats.modes import ANTIALIASED, mode_of
+from engine.formats.strays import unheld_rows
 from engine.model import GaussianModel
 
 _SAY_NOTHING = ("splat", "spz", "glb")
@@ -16,7 +19,8 @@ _SAY_NOTHING = ("splat", "spz", "glb")
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
-    """The bytes of a file in one of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0.
+    """The bytes of a file in one of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0;
+    "spz", "sog" and "compressed.ply" leave out strays that would cost all others their precision, see `loss_note`.
     InputError if the model is empty, UnsupportedFormatError if there is no such format."""
     return b"".join(_encode(model, format))
 
@@ -39,6 +43,14 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
         notes.append(
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
             " far too heavily unless told; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
+        )
+    strays = np.flatnonzero(unheld_rows(model, format))
+    if len(strays):
+        far = float(np.abs(model.means[strays]).max())
+        noun = "Gaussian" if len(strays) == 1 else "Gaussians"
+        notes.append(
+            f"{len(strays)} {noun} (first in row {strays[0]}), up to {far:.3g} from the others, left out: .{format}"
+            " rounds all others away where it holds them; .ply, .splat and .glb hold both"
         )
     return notes
 
@@ -81,5 +93,6 @@ def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
         raise InputError("the model holds no Gaussians: there is nothing to write")
     for kind in KINDS:
         if kind.name == format and kind.write:
-            return kind.write(model)
+            unheld = unheld_rows(model, format)
+            return kind.write(model.take(~unheld) if unheld.any() else model)
     raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")

@@ -110,7 +110,7 @@ KINDS = (
         lambda model: [write_compressed_ply(model)],
     ),
     Kind("spz", lambda data, file: data.startswith(_SPZ), _read_spz, _write_spz),
-    Kind("sog", lambda data, file: data.startswith(_SOG), _read_sog, _write_sog),
+    Kind("sog", lambda data, file: data.startswith(_SOG) and b"meta.json" in data, _read_sog, _write_sog),
     Kind("glb", _is_gltf, _read_gltf, _write_glb),
     # those without a magic come last
     Kind("ksplat", _is_ksplat, _read_ksplat, None),

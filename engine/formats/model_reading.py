@@ -2,37 +2,19 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.guards import opening, read_regular
 from engine.formats.kinds import KINDS, READ, SPLAT, Kind, Read
+from engine.formats.other_files import advice_for
 from engine.formats.repairs import Repair
-from engine.formats.splat import looks_like_splat
+from engine.formats.splat import RECORD, looks_like_splat
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
-
-_HEIC, _AVI, _MATROSKA = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1"), b"AVI ", b"\x1aE\xdf\xa3"
-_OTHERS: tuple[tuple[Callable[[bytes, str], bool], str], ...] = (
-    (lambda data, _: data[4:8] == b"ftyp" and data[8:12] in _HEIC, "is a HEIC photo: save it as JPEG or PNG"),
-    (
-        lambda data, _: data[4:8] == b"ftyp" or data[8:12] == _AVI or data.startswith(_MATROSKA),
-        "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
-    ),
-    (lambda data, _: data.startswith(b"%PDF"), "is a PDF: save the picture in it as PNG or JPEG"),
-    (
-        lambda data, _: data[:1024].lstrip().lower().startswith((b"<!doctype html", b"<html")),
-        "is a web page: give the model that it loads, or a screenshot of what it shows",
-    ),
-    (
-        lambda _, file: file.lower().endswith((".lcc", ".rad")),
-        "is none of the formats read here: splat-transform converts it (splat-transform FILE model.ply)",
-    ),
-)
-"""Other files given as a suspect, recognized by their first bytes or their name, and what to do with them."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +91,10 @@ def _told(data: bytes, file: str) -> Kind:
             return kind
     if not data:
         raise FormatError("is empty", file=file)
+    if looks_like_splat(data[: len(data) // RECORD.itemsize * RECORD.itemsize]):
+        SPLAT.read(data, file, "")  # says that it is cut off
     none = f"is none of the formats read here: {', '.join(READ)}"
-    advice = (text for recognizes, text in _OTHERS if recognizes(data, file))
-    raise UnsupportedFormatError(next(advice, none), file=file)
+    raise UnsupportedFormatError(advice_for(data, file) or none, file=file)
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:
@@ -123,7 +106,7 @@ def _read_folder(path: Path, file: str) -> LoadedModel:
     elif (path / _META).is_file():
         model, repairs = read_sog_folder(path)
         there = sorted(path.iterdir(), key=lambda p: p.name)
-        names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix == ".webp"))
+        names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix in (".webp", ".png")))
     else:
         raise UnsupportedFormatError(f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene", file=file)
     return LoadedModel(model, "sog", repairs, *weigh_files(path, names))

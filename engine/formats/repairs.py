@@ -47,6 +47,11 @@ class Repair:
     text: str
 
 
+def degree_dropped(degree: int, count: int) -> Repair:
+    """What is said of harmonics beyond the third degree, which a model cannot hold."""
+    return Repair("degree_dropped", count, f"harmonics of degree {degree} were read to degree 3: the rest was dropped")
+
+
 def clean(
     means: npt.NDArray[Any],
     log_scales: npt.NDArray[Any],

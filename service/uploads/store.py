@@ -151,7 +151,9 @@ def kind_of(path: Path, name: str) -> str:
         if text[:1] not in (b"{", b"[") or any(byte < 32 and byte not in b"\t\n\r" for byte in text):
             return "model"  # the first number of a .splat may begin with a brace
         file.seek(0)
-        return "model" if b'"meshes"' in file.read() else "cameras"  # a .gltf
+        whole = file.read()
+    listed = text[:1] == b"[" or b'"frames"' in whole  # INRIA's cameras, NeRF's
+    return "cameras" if listed and b'"meshes"' not in whole else "model"  # what is no .gltf either, its reader names
 
 
 def _again(service: Service, row: Any) -> Any:

@@ -246,6 +246,30 @@ def test_what_no_registration_could_place_is_refused(
         quick(flat)
 
 
+def test_a_stray_does_not_make_a_line_of_a_model(small_plant: GaussianModel) -> None:
+    means = small_plant.means.copy()
+    means[7] = (1e6, 0, 0)
+    assert quick(small_plant.with_(means=means)).report["psnr_worst_view"] >= 46.9
+    with pytest.raises(InputError, match="on a line"):
+        quick(small_plant.with_(means=means * np.array((1, 0, 0), dtype=np.float32)))
+
+
+@pytest.mark.parametrize("fault", ["clear", "blinding", "away"])
+def test_a_model_that_no_key_view_shows_is_refused(small_plant: GaussianModel, fault: str) -> None:
+    model, cameras = small_plant, {}
+    if fault == "clear":
+        model = model.with_(opacity_logits=np.full(len(model), -60, np.float32))
+    elif fault == "blinding":
+        model = model.take(np.arange(0, len(model), 40))
+        model = model.with_(log_scales=np.full((len(model), 3), 1, np.float32), sh=model.sh + np.float32(1000))
+    else:
+        away = np.diag([-1.0, 1.0, -1.0, 1.0])  # half a turn
+        turned = [Camera(away @ c.viewmat, c.K, c.width, c.height) for c in make_rig(model, 3, 64, 64)]
+        cameras = {"cameras": turned}
+    with pytest.raises(InputError, match="no key view shows anything"):
+        embed(model, bench_key(1), original_sha256=DIGEST, config=profile("fast", landmark_views=0, views=3), **cameras)
+
+
 def test_centres_that_float32_rounds_together_are_refused(small_plant: GaussianModel) -> None:
     far = small_plant.with_(means=small_plant.means + np.float32(1e9))
     with pytest.raises(InputError, match="float32 cannot tell its centres apart"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 import zipfile
 from typing import Any
 
@@ -17,6 +18,21 @@ def webp(pixels: np.ndarray, lossless: bool = True) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "WEBP", lossless=lossless, exact=True, method=0, quality=0)
     return buffer.getvalue()
+
+
+def png(pixels: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def zip64(data: bytes) -> bytes:
+    """An archive whose end says everything in the 64-bit record, as tools that stream write it (APPNOTE 4.3.14)."""
+    directory, end = data[:-22], data[-22:]
+    entries, size, offset = struct.unpack_from("<HII", end, 10)
+    record = struct.pack("<4sQHHIIQQQQ", b"PK\6\6", 44, 45, 45, 0, 0, entries, entries, size, offset)
+    locator = struct.pack("<4sIQI", b"PK\6\7", 0, len(directory), 1)
+    return directory + record + locator + b"PK\5\6" + bytes(4) + b"\xff" * 12 + bytes(2)
 
 
 def bundle(parts: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.model import GaussianModel
 
-STRIDES = {2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}
+STRIDES = {1: (6, 1, 3, 3, 3), 2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}
 
 
 def random_model(degree: int, n: int = 200, seed: int = 0) -> GaussianModel:
@@ -36,6 +36,10 @@ def head(version: int, n: int, degree: int, bits: int = 12, flags: int = 0) -> b
 
 def gzipped(version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0) -> bytes:
     return gzip.compress(head(version, n, degree, flags=flags) + b"".join(sections) + tail, 1)
+
+
+def plain(version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0) -> bytes:
+    return head(version, n, degree, flags=flags) + b"".join(sections) + tail
 
 
 def record(kind: int, payload: bytes) -> bytes:

@@ -130,6 +130,18 @@ def test_chunks_without_color_bounds() -> None:
     np.testing.assert_allclose(read_model(old).model.sh, read_model(data).model.sh, atol=1e-6)
 
 
+def test_degree_four_is_read_to_degree_three() -> None:
+    data = encode_model(random_model(3, 300), "compressed.ply")
+    head, body = data.split(b"element sh 300\n", 1)[0], data[: -300 * 45].split(b"end_header\n", 1)[1]
+    names = "".join(f"property uchar f_rest_{i}\n" for i in range(72)).encode()
+    rest = np.frombuffer(data[-300 * 45 :], np.uint8).reshape(300, 3, 15)
+    longer = np.concatenate([rest, np.full((300, 3, 9), 77, np.uint8)], axis=2)
+    four = head + b"element sh 300\n" + names + b"end_header\n" + body + longer.tobytes()
+    loaded = read_model(four)
+    assert [repair.code for repair in loaded.repairs] == ["degree_dropped"]
+    np.testing.assert_array_equal(loaded.model.sh, read_model(data).model.sh)
+
+
 def test_big_endian_and_foreign_elements() -> None:
     data = encode_model(random_model(1, 300), "compressed.ply")
     head, body = data.split(b"end_header\n", 1)

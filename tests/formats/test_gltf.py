@@ -67,6 +67,22 @@ def test_text_with_its_buffer_inside_is_the_same() -> None:
         read_model(away)
 
 
+def test_degree_four_is_read_to_degree_three() -> None:
+    attributes = splats(20, 4)
+    loaded = read_model(glb_of(*asset_of(attributes)))
+    assert {repair.code for repair in loaded.repairs} - {"quaternions_normalized"} == {"degree_dropped"}
+    third = {name: values for name, values in attributes.items() if "SH_DEGREE_4" not in name}
+    assert_same(loaded.model, read_model(glb_of(*asset_of(third))).model)
+
+
+def test_a_signalling_nan_drops_its_row_without_a_warning() -> None:
+    attributes = splats(20, 1)
+    attributes["POSITION"].view(np.uint32)[3, 0] = 0x7F800001
+    loaded = read_model(glb_of(*asset_of(attributes)))
+    assert len(loaded.model) == 19
+    assert "rows_dropped" in {repair.code for repair in loaded.repairs}
+
+
 def test_integers_are_what_their_accessors_say() -> None:
     """KHR_gaussian_splatting's own table of component types, and strides between rows."""
     plain = splats(60, 0)
@@ -169,7 +185,15 @@ def test_what_has_no_place_here_is_refused_by_name(data: bytes, what: str) -> No
 
 def test_it_is_told_by_its_first_bytes() -> None:
     assert looks_like_gltf(encode_model(random_model(0, 10), "glb"))
-    assert looks_like_gltf(b' {"asset": {}}')
+    assert looks_like_gltf(b' {"asset": {"version": "2.0"}}')
+    assert looks_like_gltf(b'{"asset": {"version": "2.0"}, "nodes": [')  # cut off: its reader says so
+    for other in (
+        b"{}",
+        b'{"asset": {}}',
+        b'{"version": "5.0"}',
+        b'{"asset": {"version": "1.1"}, "geometricError": 1}',
+    ):
+        assert not looks_like_gltf(other)
     for seed in range(300):
         noise = np.random.default_rng(seed).bytes(2000)
         assert not looks_like_gltf(b"{" + noise)

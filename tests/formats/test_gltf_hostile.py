@@ -83,7 +83,7 @@ LOOP = [{"children": [0], "mesh": 0}]
         (changed(*PRIMITIVE, "extensions", EXTENSION, "extensions", value=5), "needs the extension"),
         (changed(*PRIMITIVE, "attributes", value={"POSITION": 0}), "'KHR_gaussian_splatting:ROTATION': is missing"),
         (changed(*PRIMITIVE, "attributes", f"{EXTENSION}:SH_DEGREE_2_COEF_0", value=0), "no whole degrees"),
-        (changed(*PRIMITIVE, "attributes", f"{EXTENSION}:SH_DEGREE_4_COEF_0", value=0), "degree 4"),
+        (changed(*PRIMITIVE, "attributes", f"{EXTENSION}:SH_DEGREE_4_COEF_0", value=0), "no whole degrees"),
         (changed("extensionsRequired", value=[["a"]]), "needs the extension"),
         (changed("extensionsRequired", value="EXT"), "is no list"),
         (glb_of([], b""), "is no JSON object"),  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ from engine.formats.modes import mode_of_comments
 from engine.formats.spz.stream import read_spz, write_spz
 from engine.numerics.gaussians import flatten
 from tests.formats.models import assert_same, names_of, ply_of, random_model, rows_for
+from tests.formats.sog_scenes import with_meta
 
 SAID = ("ply", "compressed.ply", "spz", "sog")
 
@@ -59,11 +60,22 @@ def test_the_tag_is_where_others_look_for_it() -> None:
         assert b"\ncomment SplatRenderMode: mip\n" in encode_model(tagged, kind)
         assert b"comment" not in encode_model(random_model(1), kind)
     with zipfile.ZipFile(BytesIO(encode_model(tagged, "sog"))) as archive:
-        assert json.loads(archive.read("meta.json"))["model"] == "antialiased"
+        meta = json.loads(archive.read("meta.json"))
+        assert (meta["model"], meta["antialias"]) == ("antialiased", True)
     with zipfile.ZipFile(BytesIO(encode_model(random_model(1), "sog"))) as archive:
         assert "model" not in json.loads(archive.read("meta.json"))
     assert write_spz(tagged, version=4)[14] == 0x03  # extensions, too
     assert read_spz(write_spz(tagged, version=4), file="x")[0].antialiased
+
+
+@pytest.mark.parametrize(
+    ("said", "antialiased"),
+    [({"antialias": True}, True), ({"antialias": False}, False), ({"antialias": 1}, False), ({}, False)],
+)
+def test_the_flag_of_sog_is_believed_and_kept(said: dict[str, object], antialiased: bool) -> None:
+    read = read_model(with_meta(encode_model(random_model(1), "sog"), **said)).model
+    assert read.antialiased is antialiased
+    assert read_model(encode_model(read, "spz")).model.antialiased is antialiased
 
 
 def test_what_cannot_say_it_is_noted() -> None:

@@ -157,6 +157,9 @@ def test_a_point_cloud_is_told_as_such() -> None:
     names = ["x", "y", "z", "red", "green", "blue"]
     with pytest.raises(UnsupportedFormatError, match="colored point cloud, not a Gaussian model"):
         read_model(ply_of(names, rows_for(names, 4)), name="points.ply")
+    names = ["x", "y", "z", "f_offset_0", "f_anchor_feat_0", "opacity", "scale_0", "rot_0"]
+    with pytest.raises(UnsupportedFormatError, match=r"anchors of a neural model.*export plain Gaussians"):
+        read_model(ply_of(names, rows_for(names, 4)))
 
 
 @pytest.mark.parametrize("name", [name for name in names_of(1) if name not in ("scale_2", "f_dc_0")])

@@ -120,11 +120,62 @@ def test_what_people_hold_for_a_suspect_is_named(head: bytes, advice: str) -> No
         read_model(head + bytes(100))
 
 
-def test_a_format_that_others_convert_is_known_by_its_name() -> None:
-    with pytest.raises(UnsupportedFormatError, match="splat-transform"):
-        read_model(b"RAD0" + bytes(100), name="scene.RAD")
-    with pytest.raises(UnsupportedFormatError, match="none of the formats read here: ply"):
-        read_model(b"RAD0" + bytes(100), name="scene.xyz")
+def zip_of(*names: str) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name in names:
+            archive.writestr(name, bytes(9))
+    return file.getvalue()
+
+
+NOISE = bytes(range(1, 98))
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "what"),
+    [
+        (zip_of("archive/data.pkl", "archive/version", "archive/data/0"), "x", "PyTorch.*export_splats.*ns-export"),
+        (zip_of("ckpt/version", "ckpt/data.pkl"), "step-000029999.ckpt", "PyTorch"),
+        (b"\x80\x02\x8a" + NOISE, "chkpnt30000.pth", "PyTorch.*point_cloud.ply"),
+        (zip_of("means.npy", "sh.npy"), "splats.npz", "numpy"),
+        (b"\x93NUMPY\1\0" + NOISE, "x", "numpy"),
+        (b"\x40" + bytes(7) + b'{"means":{}}', "x", "tensors"),
+        (b'{"version": "5.0", "totalSplats": 1000, "totalLevel": 5}', "meta", "XGRIDS.*splat-transform FILE"),
+        (b'{"version": "5.0"}', "scene.lcc", "XGRIDS"),
+        (b'{"tree": {}}', "scene.LCC2", "XGRIDS.*splat-transform FILE"),
+        (b"RAD0" + NOISE, "x", "Spark.*splat-transform FILE"),
+        (NOISE, "scene.RAD", "Spark"),
+        (NOISE, "room.psht", "Postshot.*export the scene as .ply"),
+        (b"PXR-USDC" + NOISE, "x", "OpenUSD"),
+        (zip_of("scene.usdc"), "scene.usdz", "OpenUSD"),
+        (b'{"asset": {"version": "1.1"}, "geometricError": 9, "root": {}}', "tileset.json", "3D Tiles"),
+        (b'{"version": 2, "means": {"codebook": []}}', "meta.json", "index of a SOG scene"),
+        (b'{"camera_angle_x": 0.7, "frames": []}', "transforms.json", "cameras, no Gaussians"),
+        (b'[{"id": 0, "rotation": []}]', "cameras.json", "cameras, no Gaussians"),
+        (b"!!python/object:nerfstudio.engine.trainer.TrainerConfig\n", "config.yml", "ns-export"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "scene.ply", "git lfs pull"),
+        (b"LASF" + NOISE, "x", "is a point cloud"),
+        (b"1 2 3 255 0 0\n", "scan.xyz", "is a point cloud"),
+        (b"# made by hand\nmtllib a.mtl\nv 1 2 3\n", "x", "is a mesh"),
+        (b"v 1.0 2.0 3.0\n", "x", "is a mesh"),
+        (b"Kaydara FBX Binary  \0" + NOISE, "x", "is a mesh"),
+        (NOISE, "part.STL", "is a mesh"),
+        (b"7z\xbc\xaf\x27\x1c" + NOISE, "x", "packed archive"),
+        (NOISE, "scene.xyz2", "none of the formats read here: ply"),
+        (b'{"a": 1}', "x.json", "none of the formats read here: ply"),
+    ],
+)
+def test_what_is_no_model_is_named_with_what_to_give(data: bytes, name: str, what: str) -> None:
+    with pytest.raises(UnsupportedFormatError, match=what):
+        read_model(data, name=name)
+
+
+@pytest.mark.parametrize("cut", [1, 7, 31])
+def test_a_splat_that_is_cut_off_is_named_as_one(cut: int) -> None:
+    for name in ("scan.splat", "upload"):
+        with pytest.raises(FormatError, match="no multiple of 32 bytes: cut off") as caught:
+            read_model(encode_model(random_model(0, 200), "splat")[:-cut], name=name)
+        assert caught.value.row == 199
 
 
 def test_a_packed_model_is_to_be_unpacked() -> None:

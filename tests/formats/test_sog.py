@@ -11,21 +11,26 @@ import numpy as np
 import pytest
 
 from engine.errors import FormatError, InputError
+from engine.formats import read_model
 from engine.formats.morton import morton_order
 from engine.formats.ply.gaussians import read_ply
 from engine.formats.sog.bundle import read_sog, read_sog_folder, write_sog
 from engine.formats.sog.encoding import position_codes
 from engine.model import GaussianModel
 from tests.formats.gaussforge_child import as_model, gaussforge
+from tests.formats.models import assert_same
 from tests.formats.sog_scenes import (
     assert_valid,
+    bundle,
     pixels_of,
+    png,
     random_model,
     unbundle,
     version_1,
     webp,
     with_meta,
     with_parts,
+    zip64,
 )
 from tests.threads import with_one_and_two_threads
 
@@ -203,3 +208,52 @@ def test_harmless_faults_are_mended_and_reported():
     model, repairs = read_sog(with_meta(SCENE, **{"sh0.codebook": book[:-1]}), file="x")
     assert [r.code for r in repairs] == ["rows_dropped"]
     assert_valid(model)
+
+
+def written_to_a_pipe(parts: dict[str, bytes]) -> bytes:
+    """An archive whose sizes stand behind the parts (data descriptors), as programs write that cannot seek."""
+
+    class Pipe(io.BytesIO):
+        def seekable(self) -> bool:
+            return False
+
+        def seek(self, *where: int) -> int:
+            raise io.UnsupportedOperation
+
+    pipe = Pipe()
+    with zipfile.ZipFile(pipe, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, part in parts.items():
+            archive.writestr(name, part)
+    return pipe.getvalue()
+
+
+@pytest.mark.parametrize(
+    "pack",
+    [
+        zip64,
+        lambda data: bundle({f"my scene/{name}": part for name, part in unbundle(data).items()}),
+        lambda data: bundle({f"a\\b\\{name}": part for name, part in unbundle(data).items()}),
+        lambda data: bundle({f"./{name}": part for name, part in unbundle(data).items()}),
+        lambda data: bundle({"scene/": b"", **{f"scene/{name}": part for name, part in unbundle(data).items()}}),
+        lambda data: zip64(bundle({f"x/y/{name}": part for name, part in unbundle(data).items()})),
+        lambda data: bundle({**unbundle(data), "backup/meta.json": b"{}"}),
+        lambda data: written_to_a_pipe(unbundle(data)),
+    ],
+)
+def test_archives_as_other_programs_write_them(pack):
+    assert_same(read_sog(pack(SCENE), file="x")[0], read_sog(SCENE, file="x")[0])
+
+
+def test_images_may_be_png(tmp_path):
+    parts = unbundle(SCENE)
+    images = {name.replace("webp", "png"): png(pixels_of(part)) for name, part in parts.items() if "webp" in name}
+    meta = parts["meta.json"].replace(b".webp", b".png")
+    data = bundle({"meta.json": meta, **images})
+    assert_same(read_sog(data, file="x")[0], read_sog(SCENE, file="x")[0])
+    mixed = {"meta.json": parts["meta.json"], **{name.replace("png", "webp"): part for name, part in images.items()}}
+    assert_same(read_sog(bundle(mixed), file="x")[0], read_sog(SCENE, file="x")[0])  # told by bytes, not by name
+    for name, part in unbundle(data).items():
+        (tmp_path / name).write_bytes(part)
+    loaded = read_model(tmp_path)
+    assert_same(loaded.model, read_sog(SCENE, file="x")[0])
+    assert loaded.source_bytes == sum(map(len, unbundle(data).values()))

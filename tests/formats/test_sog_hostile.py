@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.sog.bundle import read_sog, write_sog
-from tests.formats.sog_scenes import assert_valid, bundle, random_model, unbundle, webp, with_meta, with_parts
+from tests.formats.sog_scenes import (
+    assert_valid,
+    bundle,
+    png,
+    random_model,
+    unbundle,
+    webp,
+    with_meta,
+    with_parts,
+    zip64,
+)
 
 SCENE = write_sog(random_model(1))
 
@@ -60,12 +70,16 @@ def test_images_that_do_not_fit_are_refused():
         {"shN_centroids": webp(np.zeros((1025, 192, 3), dtype=np.uint8))},
         {"shN_centroids": huge},
         {"sh0": b"\x89PNG"},
+        {"sh0": png(gray)[:30]},
+        {"sh0": png(gray)[:-30]},
         {"sh0": b""},
         {"sh0": good[:100]},
         {"sh0": good[:30] + bytes(len(good) - 30)},
     ):
         with pytest.raises(FormatError):
             read_sog(with_parts(SCENE, **parts), file="x")
+    with pytest.raises(UnsupportedFormatError, match="16 bits"):
+        read_sog(with_parts(SCENE, sh0=png(gray[..., 0].astype(np.uint16))), file="x")
     with pytest.raises(UnsupportedFormatError, match="lossy"):
         read_sog(with_parts(SCENE, sh0=webp(gray, lossless=False)), file="x")
 
@@ -85,7 +99,9 @@ def test_archives_that_lie_are_refused():
         b"",
         b"PK",
         bundle({}),
-        bundle({f"scene/{name}": part for name, part in parts.items()}),  # not at its root
+        bundle({f"{folder}/{name}": part for folder in "ab" for name, part in parts.items()}),  # which of the two?
+        zip64(bundle({f"junk{i:04d}": b"" for i in range(2000)} | parts)),
+        zip64(SCENE)[:-98] + zip64(SCENE)[-42:],  # without the record that its locator names
         several,
         twice.getvalue(),
         bytes(encrypted),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import zstd
 from engine.formats.spz.stream import read_spz, write_spz
-from tests.formats.spz_scenes import assert_valid, gzipped, head, random_model, random_sections
+from tests.formats.spz_scenes import assert_valid, gzipped, head, plain, random_model, random_sections
 
 
 @pytest.mark.parametrize("version", [3, 4])
@@ -26,6 +26,14 @@ def test_every_cut_and_every_tail_is_refused_by_name(version):
     for tail in (b"\0", data, bytes(100)):
         with pytest.raises(FormatError, match=r"^scan\.spz"):
             read_spz(data + tail, file="scan.spz")
+
+
+def test_a_plain_stream_is_as_long_as_its_header_says():
+    sections = random_sections(3, 1, 10, seed=0)
+    data = plain(3, 10, 1, sections)
+    for wrong in (*(data[:length] for length in range(len(data))), data + b"\0", plain(3, 1 << 30, 1, sections)):
+        with pytest.raises(FormatError, match=r"^scan\.spz"):
+            read_spz(wrong, file="scan.spz")
 
 
 def test_counts_that_lie_are_refused():
@@ -48,10 +56,10 @@ def test_counts_that_lie_are_refused():
 @pytest.mark.parametrize(
     ("header", "what"),
     [
-        (head(1, 10, 0), "version 1"),
-        (head(4, 10, 0), "version 4"),
-        (head(5, 10, 0), "version 5"),
-        (head(3, 10, 4), "degree 4"),
+        (head(0, 10, 0), "version 0, read are 1 to 4"),
+        (head(4, 10, 0), "version 4 inside gzip"),
+        (head(5, 10, 0), "version 5, read are 1 to 4"),
+        (head(3, 10, 5), "degree 5, read are 0 to 4"),
         (head(3, 10, 0, flags=0x80), "levels of detail"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 
@@ -10,8 +11,11 @@ import numpy as np
 def decode_gaussian(sections: list[bytes], i: int, version: int, fractional_bits: int, rest: int) -> dict:
     """Gaussian i of the six sections, in the axes of the file; alpha stays in 0..1."""
     positions, alphas, colors, scales, rotations, sh = sections
-    means = [int.from_bytes(positions[9 * i + 3 * a : 9 * i + 3 * a + 3], "little", signed=True) for a in range(3)]
-    if version == 2:
+    if version == 1:  # IEEE 754 half floats
+        means = [struct.unpack_from("<e", positions, 6 * i + 2 * a)[0] * 2.0**fractional_bits for a in range(3)]
+    else:
+        means = [int.from_bytes(positions[9 * i + 3 * a : 9 * i + 3 * a + 3], "little", signed=True) for a in range(3)]
+    if version < 3:
         x, y, z = (rotations[3 * i + a] / 127.5 - 1.0 for a in range(3))
         quat = np.array([math.sqrt(max(0.0, 1.0 - x * x - y * y - z * z)), x, y, z])
     else:

@@ -209,6 +209,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
             _check_shared(terms.earlier, committed.plan(views.model, owner.settled), asset)
         mark = make_mark(views, owner, key, copy, wanted, variant.at_view)
     marked, fidelity = mark.model, mark.fidelity
+    if not np.isfinite(fidelity.psnr_db):
+        raise InputError("no key view changes with the mark, at any strength: nothing of what they show can carry one")
     if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
             from engine.flows.embed.refinement import refine_mark  # torch is only needed here

@@ -21,7 +21,8 @@ from engine.flows.progress import Clock
 from engine.flows.views.camera_rig import Extent, make_rig, measure_extent
 from engine.flows.views.render_cost import check_drawable
 from engine.flows.views.view_set import ViewSet, look
-from engine.model import Bool, Camera, Float64, GaussianModel
+from engine.formats.strays import stray_rows
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.planning import REFERENCE_PIXELS
 
@@ -120,8 +121,8 @@ def lay_groundwork(
 ) -> Groundwork:
     """Look at a model from the views that the owner's key draws.
 
-    InputError if no copy of the model could be registered: too few Gaussians, or centres in a point or on a line; or
-    if it would take hours to draw (`render_cost`).
+    InputError if no copy of the model could be registered: too few Gaussians, or centres in a point or on a line; if
+    it would take hours to draw (`render_cost`); or if no view shows anything of it.
 
     Parameters
     ----------
@@ -143,7 +144,18 @@ def _seen(
     model: GaussianModel, cameras: Sequence[Camera], extent: Extent, config: EmbedConfig, variant: Variant, clock: Clock
 ) -> Groundwork:
     views = look(model, cameras, clock.advance, variant.at_view)
+    if all(_is_blank(image) for image in views.images):
+        raise InputError(
+            "no key view shows anything of this model, only one color: see with `mark3dgs inspect` whether positions, "
+            "sizes and opacities were read as they were meant; or give cameras that look at it (--cameras)"
+        )
     return Groundwork(extent, views, measure_impact(model, views.views, views.images), config, variant)
+
+
+def _is_blank(image: Float32) -> bool:
+    """Whether all pixels (H, W, 3) show the same, colors outside 0..1 as a screen shows them."""
+    shown = np.clip(image, 0.0, 1.0).reshape(-1, 3)
+    return bool((shown == shown[0]).all())
 
 
 def _check_placeable(model: GaussianModel, extent: Extent) -> None:
@@ -157,7 +169,8 @@ def _check_placeable(model: GaussianModel, extent: Extent) -> None:
             f"this model lies {furthest:.3g} from the origin and is {extent.radius:.3g} across: float32 cannot tell "
             "its centres apart; move it nearer"
         )
-    spread = np.linalg.svd(np.cov(means.T, bias=True), compute_uv=False)  # variances along the principal axes
+    kept = means[~stray_rows(model.means)]  # a single one far away would stretch any model to a line
+    spread = np.linalg.svd(np.cov(kept.T, bias=True), compute_uv=False)  # variances along the principal axes
     if spread[1] <= LEAST_WIDTH**2 * spread[0]:
         raise InputError(
             "the centres of this model lie in one point or on a line: a copy of it could not be registered"

@@ -7,6 +7,7 @@ and SPZ's converter take them. The compression by SPZ (KHR_gaussian_splatting_co
 and by L-GSC (2551) are drafts: files that need them are refused by name.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -17,7 +18,7 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, shown_meshes
 from engine.formats.guards import check_count
-from engine.formats.repairs import Repair, clean
+from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
 from engine.model import ATTRIBUTES, Float32, GaussianModel
 from engine.numerics.plain import Json
@@ -38,10 +39,21 @@ _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
 def looks_like_gltf(data: bytes | memoryview) -> bool:
-    """Whether bytes begin as a GLB, or as the JSON object of a .gltf."""
+    """Whether bytes begin as a GLB, or are the JSON of a .gltf: an object that names a version in its `asset`, which
+    tiles of 3D Tiles do as well. JSON that cannot be parsed, with such a member, is a damaged one."""
     head = bytes(data[:1024])
-    text = head.lstrip()[:1] == b"{" and not any(byte < 32 and byte not in b"\t\n\r" for byte in head)
-    return head.startswith(MAGIC) or text
+    if head.startswith(MAGIC):
+        return True
+    if head.lstrip()[:1] != b"{" or any(byte < 32 and byte not in b"\t\n\r" for byte in head):
+        return False
+    text = bytes(data)
+    if b'"asset"' not in text or b'"geometricError"' in text:
+        return False
+    try:
+        asset = json.loads(text).get("asset")
+    except (ValueError, RecursionError):
+        return True
+    return isinstance(asset, dict) and "version" in asset
 
 
 def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
@@ -55,11 +67,11 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
     _check_required(asset)
     shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
     if not shown:
-        message = f"holds no Gaussians: no primitive that is shown has {EXTENSION}"
+        message = f"holds no Gaussians, only a mesh or points: no primitive that is shown has {EXTENSION}"
         raise UnsupportedFormatError(message, file=file, element="meshes")
     total = sum(asset.length(_attributes(asset, primitive)["POSITION"]) for primitive, _ in shown)
     check_count(total, len(data), file=file)
-    degree = max(_degree(asset, primitive) for primitive, _ in shown)
+    degree = min(max(_degree(asset, primitive) for primitive, _ in shown), 3)
     parts: list[GaussianModel] = []
     repairs: list[Repair] = []
     for primitive, matrix in shown:
@@ -168,14 +180,11 @@ def _attributes(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]
 
 
 def _degree(asset: Asset, primitive: Mapping[str, Any]) -> int:
-    """Degree of the harmonics, once each is there whole with all below it."""
+    """Degree of the harmonics, 0 to 4, once each is there whole with all below it."""
     there = {name.partition(":")[2] for name in _attributes(asset, primitive) if name.startswith(EXTENSION + ":SH_")}
-    for degree in range(4):
+    for degree in range(5):
         if there == set(coefficient_names(degree)):
             return degree
-    if any(name.startswith("SH_DEGREE_4") for name in there):
-        message = "spherical harmonics of degree 4, read are 0 to 3"
-        raise UnsupportedFormatError(message, file=asset.file, element="primitive")
     message = f"{len(there)} coefficients of spherical harmonics are no whole degrees"
     raise FormatError(message, file=asset.file, element="primitive")
 
@@ -196,17 +205,18 @@ def _read_primitive(
     means, quats = values("POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
     scales, opacities = values("SCALE", 3), values("OPACITY", 1)[:, 0].astype(np.float64)
     sh = np.zeros((count, coefficients, 3), dtype=np.float32)
-    for k, name in enumerate(coefficient_names(_degree(asset, primitive))):
+    degree = _degree(asset, primitive)
+    for k, name in enumerate(coefficient_names(min(degree, 3))):
         sh[:, k] = values(name, 3)
     TO_PLY.apply_signs(means, quats, sh)
-    repairs: tuple[Repair, ...] = ()
+    repairs: tuple[Repair, ...] = (degree_dropped(degree, count),) if degree > 3 else ()
     with np.errstate(divide="ignore", invalid="ignore"):  # 0 and 1 are mended, what lies outside is a fault
         log_scales: Float32 = np.log(scales)
         logits = np.log(opacities) - np.log1p(-opacities)
     if _is_log(asset, scales):
         log_scales = scales
         text = "sizes were stored as logarithms, as early splat-transform did against the specification"
-        repairs = (Repair("scales_logarithmic", count, text),)
+        repairs += (Repair("scales_logarithmic", count, text),)
     model, mended = clean(means, log_scales, quats, logits, sh, file=asset.file, element="primitive")
     return model, (*repairs, *mended)
 

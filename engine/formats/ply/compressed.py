@@ -14,7 +14,7 @@ from engine.formats.modes import comment_of, mode_of_comments, with_mode
 from engine.formats.morton import morton_order
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import Element, Header, parse_header
-from engine.formats.repairs import Repair, clean
+from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.model import SH_C0, Float32, GaussianModel
 
 CHUNK = 256
@@ -30,6 +30,7 @@ _WORDS = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 _SCALE_LIMIT = 20.0  # the format clamps log scales there
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # components beside the largest, in order
 _CHUNKS_AT_ONCE = 64
+_MAX_REST = 15  # coefficients beyond the first that a model holds
 
 
 def is_compressed(header: Header) -> bool:
@@ -39,7 +40,7 @@ def is_compressed(header: Header) -> bool:
 
 
 def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a compressed PLY, degree 0 to 3, with or without color bounds.
+    """Read a compressed PLY, degree 0 to 3 (4 up to 3), with or without color bounds.
 
     FormatError if the bytes are not what the header says, or an element or property is missing or of the wrong kind.
     """
@@ -55,8 +56,8 @@ def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[Gaussia
         bounds = np.hstack([bounds, np.zeros((len(bounds), 3)), np.ones((len(bounds), 3))])  # (C, 18)
 
     count, words = vertex.count, tables["vertex"]
-    names = [] if sh is None else [f"f_rest_{i}" for i in range(len(sh.properties))]
-    rest = len(names) // 3
+    channel = 0 if sh is None else len(sh.properties) // 3  # coefficients a channel in the file
+    rest = min(channel, _MAX_REST)
     means, log_scales = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     quats, logits = np.empty((count, 4), np.float32), np.empty(count, np.float32)
     coefficients = np.empty((count, 1 + rest, 3), np.float32)
@@ -71,10 +72,12 @@ def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[Gaussia
             coefficients[rows, 0] = (_between(box[:, 12:18], color[:, :3]) - 0.5) / SH_C0
             logits[rows] = np.log(color[:, 3]) - np.log1p(-color[:, 3])
             quats[rows] = _unpack_rotations(block["packed_rotation"])
-            for i, name in enumerate(names):
-                channel, k = divmod(i, rest)
-                coefficients[rows, 1 + k, channel] = _REST_VALUES[tables["sh"][rows][name]]
+            for c in range(3 if rest else 0):
+                for k in range(rest):
+                    coefficients[rows, 1 + k, c] = _REST_VALUES[tables["sh"][rows][f"f_rest_{c * channel + k}"]]
     model, repairs = clean(means, log_scales, quats, logits, coefficients, file=file)
+    if channel > rest:
+        repairs = (degree_dropped(4, count), *repairs)
     others = [e.name for e in header.elements if e.name not in kept]
     if others:
         text = f"elements that no Gaussian has were ignored: {', '.join(others[:5])}"
@@ -145,8 +148,8 @@ def _check_elements(header: Header, file: str) -> tuple[Element, Element, Elemen
     if sh is not None:
         if sh.count != vertex.count:
             raise FormatError(f"{sh.count} rows for {vertex.count} Gaussians", file=file, element="sh")
-        if len(sh.properties) not in (9, 24, 45):
-            message = f"{len(sh.properties)} coefficients, expected 9, 24 or 45 (degree 1 to 3)"
+        if len(sh.properties) not in (9, 24, 45, 72):
+            message = f"{len(sh.properties)} coefficients, expected 9, 24, 45 or 72 (degree 1 to 4)"
             raise FormatError(message, file=file, element="sh")
         types = {p.name: p.code for p in sh.properties}
         for i in range(len(sh.properties)):

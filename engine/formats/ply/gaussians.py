@@ -12,31 +12,42 @@ import numpy.typing as npt
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with_mode
 from engine.formats.ply.body import read_tables
+from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, plain_names, plain_types, rounded_centers
 from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codebooks, refuse_motion
 from engine.formats.ply.header import Element, Header, parse_header
-from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
+from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
 from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import DISC_THICKNESS, Float32, GaussianModel
 
-REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
-"""Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""
+REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16, 72: 16}
+"""Number of f_rest properties -> coefficients a channel that are read: of degree 4, those of degree 3."""
 
 _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
+_ANCHORS = ("f_anchor", "f_offset", "anchor_feat")
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 
 def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3.
+    """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3; degree 4 up
+    to degree 3.
 
-    Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs`` and
-    ``filter_fused``, too. FormatError if the bytes are not what the header says, or a property is missing;
-    UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians move or lie in codebooks.
+    Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs``, ``filter_fused`` and what
+    `engine.formats.ply.dialects` translates, too. FormatError if the bytes are not what the header says, or a property
+    is missing or holds whole numbers; UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians
+    move or lie in codebooks.
     """
-    header = parse_header(data, file=file)
-    vertex, repairs = _check_vertex(header, file)
+    header, renamed = plain_names(parse_header(data, file=file))
+    vertex, used, repairs = _check_vertex(header, file)
+    repairs = [*renamed, *repairs]
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
-    arrays = _empty_arrays(len(records), REST_COUNTS[_count_rest(vertex, file)])
-    _spread(records, arrays, frozenset(vertex.names))
+    colored = any(repair.code == "colors_read" for repair in renamed)
+    records, typed = plain_types(records, [name for name in used if not (colored and name in DC)], file=file)
+    repairs += typed
+    rest = _count_rest(vertex, file)
+    arrays = _empty_arrays(len(records), REST_COUNTS[rest])
+    _spread(records, arrays, frozenset(used), rest // 3)
+    if colored:
+        arrays["sh"][:, 0] = dc_of_colors(arrays["sh"][:, 0], records.dtype[DC[0]])
     if "scale_2" not in vertex.names:
         log_scales = arrays["log_scales"]
         log_scales[:, 2] = np.maximum(log_scales[:, :2].min(axis=1) + np.log(DISC_THICKNESS), LOG_SCALE_RANGE[0])
@@ -52,6 +63,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
         repairs.append(Repair("filter_fused", len(records), text))
         mode = mode or ANTIALIASED
     logits = arrays["opacity_logits"]
+    repairs += [*rounded_centers(records, arrays["log_scales"]), *activation_hints(arrays["log_scales"], logits)]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
     return with_mode(model, mode), (*repairs, *mended)
 
@@ -88,44 +100,52 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
         yield table.tobytes()
 
 
-def _check_vertex(header: Header, file: str) -> tuple[Element, list[Repair]]:
-    """The vertex element once it is known to hold Gaussians, and what the file holds besides."""
+def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[Repair]]:
+    """The vertex element once it is known to hold Gaussians, the properties that are read, and what the file holds
+    besides."""
     refuse_codebooks(header, file=file)
     vertex = header.element("vertex")
     if vertex is None:
         there = ", ".join(repr(e.name) for e in header.elements[:5])
         raise FormatError(f"has no element 'vertex', only {there}", file=file)
     refuse_motion(vertex, file=file)
+    if "f_dc_0" not in vertex.names and any(name.startswith(_ANCHORS) for name in vertex.names):
+        message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
+        raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
         message = "is missing; where the colors lie in codebooks beside the file (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
-    if "f_dc_0" not in vertex.names:
+    if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names
         what = "a colored point cloud" if colored else "a point cloud or a mesh"
         message = f"is {what}, not a Gaussian model: it has no colors f_dc_0, scales, rotations and opacity"
         raise UnsupportedFormatError(message, file=file, element="vertex")
-    needed = ["x", "y", "z", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
+    needed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
     for name in [*needed, "rot_0", "rot_1", "rot_2", "rot_3"]:
         if name not in vertex.names:
             raise FormatError("is missing", file=file, element="vertex", prop=name)
 
     repairs: list[Repair] = []
-    known = {*needed, *_NORMALS, FILTER, "f_dc_0", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
-    known |= {f"f_rest_{i}" for i in range(_count_rest(vertex, file))}
-    extra = [p.name for p in vertex.properties if p.name not in known]
+    rest = _count_rest(vertex, file)
+    known = {*needed, FILTER, "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
+    known |= {f"f_rest_{i}" for i in range(rest)}
+    used = [p.name for p in vertex.properties if p.name in known]
+    extra = [p.name for p in vertex.properties if p.name not in known and p.name not in _NORMALS]
+    if rest not in (0, 9, 24, 45):
+        repairs.append(degree_dropped(4, vertex.count))
     if extra:
         repairs.append(ignored("properties", extra))
     others = [e.name for e in header.elements if e is not vertex]
     if others:
         repairs.append(ignored("elements", others))
-    return vertex, repairs
+    return vertex, used, repairs
 
 
 def _count_rest(vertex: Element, file: str) -> int:
     """Number of f_rest properties, once they are known to be the first so many."""
     names = {name for name in vertex.names if name.startswith("f_rest_")}
     if len(names) not in REST_COUNTS:
-        message = f"{len(names)} properties f_rest_*, expected 0, 9, 24 or 45 (degree 0 to 3)"
+        message = f"{len(names)} properties f_rest_*, expected 0, 9, 24, 45 or 72 (degree 0 to 4)"
         raise FormatError(message, file=file, element="vertex")
     for i in range(len(names)):
         if f"f_rest_{i}" not in names:
@@ -144,36 +164,37 @@ def _empty_arrays(count: int, coefficients: int) -> dict[str, Float32]:
     return {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
 
 
-def _properties(coefficients: int) -> dict[str, list[str]]:
+def _properties(coefficients: int, channel: int | None = None) -> dict[str, list[str]]:
     """Of each array, the property that each number of a row comes from; f_rest is channel-major in the file, nowhere
-    else."""
+    else, with `channel` of them a channel, which is more than is read where the degree is 4."""
     rest = coefficients - 1
+    stride = rest if channel is None else channel
     return {
         "means": ["x", "y", "z"],
         "log_scales": [f"scale_{i}" for i in range(3)],
         "quats": [f"rot_{i}" for i in range(4)],
         "opacity_logits": ["opacity"],
-        "sh": [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + k}" for k in range(rest) for c in range(3)],
+        "sh": [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * stride + k}" for k in range(rest) for c in range(3)],
     }
 
 
-def _columns(arrays: dict[str, Float32], present: frozenset[str]) -> dict[str, Float32]:
+def _columns(arrays: dict[str, Float32], present: frozenset[str], channel: int | None = None) -> dict[str, Float32]:
     """(N,) view on the arrays for every property."""
     return {
         name: arrays[array].reshape(len(arrays[array]), len(names))[:, i]
-        for array, names in _properties(arrays["sh"].shape[1]).items()
+        for array, names in _properties(arrays["sh"].shape[1], channel).items()
         for i, name in enumerate(names)
         if name in present
     }
 
 
-def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: frozenset[str]) -> None:
+def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: frozenset[str], channel: int) -> None:
     """Copy the fields of the records into the arrays, whatever their type and byte order."""
-    columns = _columns(arrays, present)
+    columns = _columns(arrays, present, channel)
     places = {name: field[1] for name, field in (records.dtype.fields or {}).items() if field[0] == np.dtype("<f4")}
     if places.keys() >= columns.keys():
         data = np.frombuffer(records.data, dtype=np.uint8).reshape(len(records), records.itemsize)
-        properties = _properties(arrays["sh"].shape[1])
+        properties = _properties(arrays["sh"].shape[1], channel)
         # What a file lacks, the third scale of discs, is set afterwards.
         sources = tuple(np.array([places.get(name, 0) for name in names]) for names in properties.values())
         words = tuple(

@@ -12,6 +12,7 @@ MAX_HEADER_BYTES = 1 << 16
 
 _CODES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _SCALAR_TYPES = _CODES | {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+_SCALAR_TYPES |= {"half": "f2", "float16": "f2"}
 _SCALAR_TYPES |= {f"{'u' * (code[0] == 'u')}int{8 * int(code[1])}": code for code in _CODES.values()}
 """What PLY calls its types, old names and new, and how numpy spells them."""
 

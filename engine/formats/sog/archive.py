@@ -19,6 +19,9 @@ _MAX_STREAMED_BYTES = 1 << 22
 """A streamed scene has seven entries a chunk: some 8,000 chunks."""
 _STREAMED = b"lod-meta.json"
 
+_ZIP64_RECORD = 56
+"""Bytes of a ZIP64 end record without extensible data, which no program writes."""
+
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _DAMAGE = (
     *(zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError),
@@ -51,9 +54,12 @@ class ZipArchive:
             raise FormatError(f"damaged zip archive ({fault})", file=file) from None
         self._entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
-            if entry.filename in self._entries:
-                raise FormatError("zip archive holds two entries of this name", file=file, element=entry.filename)
-            self._entries[entry.filename] = entry
+            name = entry.filename.replace("\\", "/").removeprefix(
+                "./"
+            )  # as some programs of Windows and tar write them
+            if name in self._entries:
+                raise FormatError("zip archive holds two entries of this name", file=file, element=name)
+            self._entries[name] = entry
 
     def read(self, name: str, limit: int) -> bytes:
         entry = self._entries.get(name)
@@ -76,21 +82,21 @@ class ZipArchive:
     def folder_of(self, name: str) -> str:
         """The folder, ending in a slash, that holds a part of this name: the outermost; empty for the top.
 
-        FormatError if there is none.
+        FormatError if there is none, or several folders as far out hold one.
         """
-        found = [path for path in self._entries if path == name or path.endswith("/" + name)]
+        found = sorted(path for path in self._entries if path == name or path.endswith("/" + name))
         if not found:
             raise FormatError("zip archive lacks this entry", file=self._file, element=name)
-        return min(found, key=lambda path: (path.count("/"), path)).removesuffix(name)
+        depth = min(path.count("/") for path in found)
+        outermost = [path for path in found if path.count("/") == depth]
+        if len(outermost) > 1:
+            text = f"zip archive holds {len(outermost)} scenes ({', '.join(outermost[:3])[:120]}): give one of them"
+            raise FormatError(text, file=self._file)
+        return outermost[0].removesuffix(name)
 
     def has(self, name: str) -> bool:
-        """Whether there is a part of this name, at the top."""
-        return name in self._entries
-
-    @property
-    def streamed(self) -> bool:
-        """Whether this is the archive of a streamed scene."""
-        return any(path.encode().endswith(_STREAMED) for path in self._entries)
+        """Whether there is a part of this name, at the top or in a folder."""
+        return any(path == name or path.endswith("/" + name) for path in self._entries)
 
 
 class Within:
@@ -142,6 +148,11 @@ def _check_directory(data: bytes, *, file: str) -> None:
     if end < 0 or end + 22 > len(data):
         raise FormatError("is no zip archive, or its end is cut off", file=file)
     size = struct.unpack_from("<I", data, end + 12)[0]
+    if data[max(0, end - 20) : end].startswith(b"PK\x06\x07"):  # ZIP64: its record stands before its locator
+        end -= 20 + _ZIP64_RECORD
+        if end < 0 or data[end : end + 4] != b"PK\x06\x06":
+            raise FormatError("damaged zip archive (its ZIP64 record is not where it should be)", file=file)
+        size = struct.unpack_from("<Q", data, end + 40)[0]
     most = _MAX_STREAMED_BYTES if _STREAMED in data[max(0, end - size) : end] else _MAX_DIRECTORY_BYTES
-    if data[max(0, end - 20) : end].startswith(b"PK\x06\x07") or size > most:
+    if size > most:
         raise FormatError("zip archive lists far more entries than a scene has", file=file)

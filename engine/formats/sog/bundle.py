@@ -8,9 +8,10 @@ from pathlib import Path
 
 from engine.errors import FormatError
 from engine.formats.repairs import Repair
-from engine.formats.sog.archive import MAX_META_BYTES, META, Folder, ZipArchive, write_zip
+from engine.formats.sog.archive import MAX_META_BYTES, META, Folder, Within, ZipArchive, write_zip
 from engine.formats.sog.decoding import decode_scene
 from engine.formats.sog.encoding import encode_scene
+from engine.formats.sog.levels import LOD_META
 from engine.formats.sog.meta import parse_meta
 from engine.model import GaussianModel
 
@@ -18,22 +19,20 @@ __all__ = ["read_sog", "read_sog_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a bundled scene, version 1 or 2, or the archive of a streamed one. Only meta.json and the images it names
-    are ever unpacked.
+    """Read a bundled scene, version 1 or 2, or the archive of a streamed one, at the top or in a folder of the archive.
+    Only meta.json and the images it names are ever unpacked.
 
     UnsupportedFormatError for another version, or images that are lossy; FormatError if the archive or an image is
     damaged, or sizes and counts do not agree; checked before it is decoded.
     """
     archive = ZipArchive(data, file=file)
-    if not archive.has(META):
-        if not archive.streamed:
-            text = f"is a zip archive without {META}, no SOG scene: unpack it, and give one model of those in it"
-            raise FormatError(text, file=file)
+    if archive.has(LOD_META):
         from engine.formats.sog.streamed import read_streamed
 
         return read_streamed(archive, file=file)
-    meta = parse_meta(archive.read(META, MAX_META_BYTES), file=file)
-    return decode_scene(meta, archive, file=file)
+    scene = Within(archive, archive.folder_of(META))
+    meta = parse_meta(scene.read(META, MAX_META_BYTES), file=file)
+    return decode_scene(meta, scene, file=file)
 
 
 def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]]:

@@ -8,8 +8,8 @@ from engine.formats.guards import check_count
 from engine.formats.modes import with_mode
 from engine.formats.repairs import Repair, clean
 from engine.formats.sog.archive import Archive
+from engine.formats.sog.images import Pixels, decode_lossless, lossless_size
 from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW, REST_COEFFICIENTS, Palette, SogMeta
-from engine.formats.sog.webp import Pixels, decode_webp, webp_size
 from engine.model import Float32, GaussianModel
 
 QUATERNION_TAG = 252
@@ -45,7 +45,7 @@ class _Scene:
     def _load(self, name: str, pixel_limit: int) -> tuple[bytes, tuple[int, int]]:
         # A lossless image is hardly ever larger than its four bytes a pixel.
         data = self._archive.read(name, 6 * pixel_limit + (1 << 16))
-        size = webp_size(data, file=self._file, element=name)
+        size = lossless_size(data, file=self._file, element=name)
         if size[0] * size[1] > pixel_limit:
             message = f"{size[0]}x{size[1]} pixels, at most {pixel_limit} expected"
             raise FormatError(message, file=self._file, element=name)
@@ -61,7 +61,7 @@ class _Scene:
             message = f"is {size[0]}x{size[1]}, other images are {self._size[0]}x{self._size[1]}"
             raise FormatError(message, file=self._file, element=name)
         self._size = size
-        return decode_webp(data, size, file=self._file, element=name).reshape(-1, 4)[:count]
+        return decode_lossless(data, size, file=self._file, element=name).reshape(-1, 4)[:count]
 
     def means(self) -> Float32:
         low, high = self._rows("means", 0), self._rows("means", 1)
@@ -131,7 +131,7 @@ class _Scene:
         if PALETTE_ROW * height < (palette.count or 1) or height > MAX_PALETTE // PALETTE_ROW:
             message = f"{height} rows of {PALETTE_ROW} code vectors for {palette.count}"
             raise FormatError(message, file=self._file, element=name)
-        pixels = decode_webp(data, (width, height), file=self._file, element=name)
+        pixels = decode_lossless(data, (width, height), file=self._file, element=name)
         codes: npt.NDArray[np.uint8] = pixels[..., :3].reshape(PALETTE_ROW * height, -1, 3)  # (P, K - 1, 3)
         return palette.table.astype(np.float32)[codes]
 

@@ -7,14 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.formats.modes import mode_of
+from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.morton import morton_order
 from engine.formats.sog.archive import META
 from engine.formats.sog.codebook import learn_codebook, nearest_codes
 from engine.formats.sog.decoding import OTHERS, QUATERNION_TAG
+from engine.formats.sog.images import MAX_SIDE, Pixels, encode_webp
 from engine.formats.sog.meta import PALETTE_ROW
 from engine.formats.sog.palette import learn_palette, palette_size
-from engine.formats.sog.webp import MAX_SIDE, Pixels, encode_webp
 from engine.kernels.jit import side_by_side
 from engine.model import Float32, Float64, GaussianModel
 from engine.numerics.plain import Json
@@ -54,7 +54,7 @@ def encode_scene(model: GaussianModel) -> dict[str, bytes]:
         "sh0": {"codebook": dc.tolist(), "files": FILES["sh0"]},
     }
     if mode := mode_of(model):
-        meta["model"] = mode
+        meta |= {"model": mode, "antialias": mode == ANTIALIASED}
     laid_out: dict[str, Pixels] = {}
     if model.sh_degree > 0:
         vectors = model.sh[:, 1:].reshape(len(model), -1)  # (N, 3 (K - 1))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.modes import ANTIALIASED
 from engine.formats.repairs import ALPHA_LOGITS, Repair
 from engine.model import Float64
 from engine.numerics.plain import Json
@@ -107,7 +108,7 @@ class _Reader:
             dc=dc,
             opacity=opacity,
             palette=self._palette(codebooks) if "shN" in files else None,
-            mode=self._meta.get("model"),
+            mode=self._meta.get("model", ANTIALIASED if self._meta.get("antialias") is True else None),
             repairs=tuple(self._repairs),
         )
 

@@ -34,6 +34,11 @@ def decode_positions(section: memoryview, fractional_bits: int) -> Float32:
     return (fixed * np.float32(2.0**-fractional_bits)).astype(np.float32).reshape(-1, 3)  # (N, 3)
 
 
+def decode_half_positions(section: memoryview) -> Float32:
+    """(N, 3) centres of version 1: half floats."""
+    return np.frombuffer(section, dtype="<f2").astype(np.float32).reshape(-1, 3)
+
+
 def encode_positions(means: Float32, fractional_bits: int) -> bytes:
     """Inverse of `decode_positions`, rounded to the nearest step."""
     fixed = np.rint(means.astype(np.float64) * 2.0**fractional_bits).astype("<i4").reshape(-1, 1)  # (3 N, 1)
@@ -128,10 +133,10 @@ def encode_smallest_three(quats: Float32) -> bytes:
 
 
 def decode_sh(section: memoryview, sh: Float32) -> None:
-    """Fill sh[:, 1:] of an (N, K, 3) array: coefficient-major bytes in steps of 1/128."""
+    """Fill sh[:, 1:] of an (N, K, 3) array: coefficient-major bytes in steps of 1/128; more than K - 1 are left."""
     if sh.shape[1] == 1:
         return
-    raw = np.frombuffer(section, dtype=np.uint8).reshape(len(sh), -1, 3)  # (N, K - 1, 3)
+    raw = np.frombuffer(section, dtype=np.uint8).reshape(len(sh), -1, 3)[:, : sh.shape[1] - 1]  # (N, K - 1, 3)
     for start in range(0, len(sh), _CHUNK):
         part = sh[start : start + _CHUNK, 1:]
         np.subtract(raw[start : start + _CHUNK], np.float32(128.0), out=part, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The two containers of SPZ: one gzip stream (versions 2, 3), and a header with zstd streams (version 4)."""
+"""The containers of SPZ: one stream, gzip or plain (versions 1 to 3), and a header with zstd streams (version 4)."""
 
 import struct
 import zlib
@@ -16,6 +16,10 @@ GZIP_MAGIC = b"\x1f\x8b"
 ANTIALIASED, HAS_EXTENSIONS, LEVELS_OF_DETAIL = 0x01, 0x02, 0x80
 """Bits of the header's flags. The last is Spark's: the rows are a tree of nested levels, not one scene."""
 
+STREAM_VERSIONS = (1, 2, 3)
+"""Those of one stream: 1 has centres in half floats, 3 quaternions without their largest component."""
+
+MAX_DEGREE = 4
 MAX_EXTENSION_BYTES = 1 << 16
 MAX_FRACTIONAL_BITS = 24
 """Positions are 24-bit fixed point."""
@@ -47,12 +51,18 @@ class Header:
     @property
     def section_strides(self) -> tuple[int, ...]:
         """Bytes a Gaussian of positions, alphas, colors, scales, rotations, sh: the order of every file."""
-        return (9, 1, 3, 3, 3 if self.version == 2 else 4, 3 * (self.sh_degree + 1) ** 2 - 3)
+        position, rotation = 6 if self.version == 1 else 9, 3 if self.version < 3 else 4
+        return (position, 1, 3, 3, rotation, 3 * (self.sh_degree + 1) ** 2 - 3)
 
     @property
     def section_sizes(self) -> tuple[int, ...]:
         """Bytes of each section."""
         return tuple(stride * self.count for stride in self.section_strides)
+
+    @property
+    def spare(self) -> int:
+        """Most bytes of extension records that may follow the sections of one stream."""
+        return MAX_EXTENSION_BYTES if self.flags & HAS_EXTENSIONS else 0
 
 
 @dataclass(frozen=True)
@@ -65,16 +75,17 @@ class Payload:
 
 
 def unpack(data: bytes, *, file: str) -> Payload:
-    """Take an SPZ file of version 2, 3 or 4 apart.
+    """Take an SPZ file of version 1 to 4 apart.
 
-    UnsupportedFormatError for another version, spherical harmonics of degree 4, or a tree of levels of detail;
+    UnsupportedFormatError for another version, spherical harmonics beyond degree 4, or a tree of levels of detail;
     FormatError if it is no SPZ file, or its bytes are not those that its header implies. Never more than those is
     unpacked.
     """
     if data[:2] == GZIP_MAGIC:
         return _unpack_gzip(data, file=file)
     if len(data) >= 4 and int.from_bytes(data[:4], "little") == MAGIC:
-        return _unpack_zstd(data, file=file)
+        plain = len(data) >= 8 and int.from_bytes(data[4:8], "little") in STREAM_VERSIONS
+        return _unpack_plain(data, file=file) if plain else _unpack_zstd(data, file=file)
     raise FormatError("is no SPZ file: neither gzip nor NGSP at its start", file=file)
 
 
@@ -84,10 +95,12 @@ def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: i
             f"is gzip, but no SPZ file (magic {magic:#010x}): unpack it first", file=file, element="header"
         )
     if header.version not in versions:
-        message = f"SPZ version {header.version}, read are 2, 3 and 4"
+        message = f"SPZ version {header.version}, read are 1 to 4"
+        if header.version == 4:
+            message = "SPZ version 4 inside gzip, which it has no need of: unpack it first (gunzip)"
         raise UnsupportedFormatError(message, file=file, element="header")
-    if header.sh_degree > 3:
-        message = f"spherical harmonics of degree {header.sh_degree}, read are 0 to 3"
+    if header.sh_degree > MAX_DEGREE:
+        message = f"spherical harmonics of degree {header.sh_degree}, read are 0 to {MAX_DEGREE}"
         raise UnsupportedFormatError(message, file=file, element="header", prop="shDegree")
     if header.flags & LEVELS_OF_DETAIL:
         message = "holds a tree of levels of detail; export a single level"
@@ -98,29 +111,44 @@ def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: i
     check_count(header.count, size, file=file)
 
 
+def _stream_header(head: bytes, size: int, *, file: str) -> Header:
+    """The header of a file of one stream, checked."""
+    if len(head) < _HEADER.size:
+        raise FormatError(f"header has {len(head)} bytes, expected {_HEADER.size}", file=file)
+    magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
+    header = Header(version, count, degree, bits, flags)
+    _check_header(header, magic, STREAM_VERSIONS, size, file=file)
+    return header
+
+
 def _unpack_gzip(data: bytes, *, file: str) -> Payload:
     inflater = zlib.decompressobj(wbits=31)
     try:
         head = inflater.decompress(data, _HEADER.size)
-        if len(head) < _HEADER.size:
-            raise FormatError(f"header has {len(head)} bytes, expected {_HEADER.size}", file=file)
-        magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
-        header = Header(version, count, degree, bits, flags)
-        _check_header(header, magic, (2, 3), len(data), file=file)
-        expected = sum(header.section_sizes)
-        spare = MAX_EXTENSION_BYTES if flags & HAS_EXTENSIONS else 0
+        header = _stream_header(head, len(data), file=file)
         # One byte more than may be there: it tells a longer stream apart and lets zlib reach its checksum.
-        body = inflater.decompress(inflater.unconsumed_tail, expected + spare + 1)
+        body = inflater.decompress(inflater.unconsumed_tail, sum(header.section_sizes) + header.spare + 1)
     except zlib.error as fault:
         raise FormatError(f"damaged gzip stream ({fault})", file=file) from None
-    if len(body) < expected:
-        raise FormatError(f"{len(body)} bytes of {count} Gaussians, expected {expected}", file=file)
-    if len(body) > expected + spare:
-        raise FormatError(f"more than the {expected} bytes that {count} Gaussians take", file=file)
+    payload = _split(header, body, file=file)
     if not inflater.eof:
         raise FormatError("gzip stream is cut off", file=file)
     if inflater.unused_data:
         raise FormatError(f"{len(inflater.unused_data)} bytes follow the gzip stream", file=file)
+    return payload
+
+
+def _unpack_plain(data: bytes, *, file: str) -> Payload:
+    header = _stream_header(data[: _HEADER.size], len(data), file=file)
+    return _split(header, data[_HEADER.size :], file=file)
+
+
+def _split(header: Header, body: bytes, *, file: str) -> Payload:
+    expected, count = sum(header.section_sizes), header.count
+    if len(body) < expected:
+        raise FormatError(f"{len(body)} bytes of {count} Gaussians, expected {expected}", file=file)
+    if len(body) > expected + header.spare:
+        raise FormatError(f"more than the {expected} bytes that {count} Gaussians take", file=file)
     view = memoryview(body)
     borders = pairwise(accumulate(header.section_sizes, initial=0))
     return Payload(header, tuple(view[start:stop] for start, stop in borders), bytes(view[expected:]))

@@ -41,8 +41,9 @@ class FrameChange:
         """Flip centres (N, 3), quaternions (N, 4) and coefficients (N, K, 3) in place; exact in float32."""
         if (self.signs == 1).all():
             return
-        means *= self.signs.astype(np.float32)
-        quats[:, 1:] *= self.quaternion_signs
+        with np.errstate(invalid="ignore"):  # signalling NaN, which `clean` finds
+            means *= self.signs.astype(np.float32)
+            quats[:, 1:] *= self.quaternion_signs
         for k, sign in enumerate(self.coefficient_signs(sh.shape[1])):
             if sign < 0:
                 np.negative(sh[:, k], out=sh[:, k])

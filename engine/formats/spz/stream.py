@@ -1,4 +1,4 @@
-"""SPZ (Niantic): versions 2, 3 and 4 are read, 3 and 4 written.
+"""SPZ (Niantic): versions 1 to 4 are read, 3 and 4 written.
 
 Format: nianticlabs/spz, README and src/cc/load-spz.cc.
 """
@@ -9,12 +9,13 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.formats import modes
-from engine.formats.repairs import Repair, clean
+from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.spz.attributes import (
     choose_fractional_bits,
     decode_alphas,
     decode_colors,
     decode_first_three,
+    decode_half_positions,
     decode_positions,
     decode_scales,
     decode_sh,
@@ -36,21 +37,25 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     nothing. A `frame` of "auto" believes the file's SPZ_ADOBE_coordinate_system extension, and the specification where
     there is none; "spec" and "ply" overrule the file.
 
-    UnsupportedFormatError for another version, spherical harmonics of degree 4, or a tree of levels of detail;
-    FormatError if the bytes are not those that the header implies; InputError if `frame` is none of the three.
+    Harmonics of degree 4 are read to degree 3, and reported. UnsupportedFormatError for another version, harmonics
+    beyond degree 4, or a tree of levels of detail; FormatError if the bytes are not those that the header implies;
+    InputError if `frame` is none of the three.
     """
     payload = unpack(data, file=file)
     header = payload.header
     change = frame_change(frame, payload.extensions, file=file)
     positions, alphas, colors, scales, rotations, rest = payload.sections
-    means = decode_positions(positions, header.fractional_bits)
-    quats = decode_first_three(rotations) if header.version == 2 else decode_smallest_three(rotations)
-    sh = np.empty((header.count, (header.sh_degree + 1) ** 2, 3), dtype=np.float32)
+    half = header.version == 1
+    means = decode_half_positions(positions) if half else decode_positions(positions, header.fractional_bits)
+    quats = decode_first_three(rotations) if header.version < 3 else decode_smallest_three(rotations)
+    sh = np.empty((header.count, (min(header.sh_degree, 3) + 1) ** 2, 3), dtype=np.float32)
     sh[:, 0] = decode_colors(colors)
     decode_sh(rest, sh)
     change.apply_signs(means, quats, sh)
     log_scales, logits = decode_scales(scales), decode_alphas(alphas)
     model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="points")
+    if header.sh_degree > 3:
+        repairs = (degree_dropped(header.sh_degree, header.count), *repairs)
     if change.turn is not None:
         model = transform_model(model, 1.0, change.turn, np.zeros(3))
     return modes.with_mode(model, modes.ANTIALIASED if header.flags & ANTIALIASED else None), repairs

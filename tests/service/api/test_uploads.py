@@ -135,6 +135,10 @@ def test_an_upload_of_cameras_and_of_a_picture(api: Api) -> None:
     assert api.client.post("/v1/embed", json=embed).json()["type"].endswith("unreadable-model")
     slot = api.client.post("/v1/uploads", json={}).json()["id"]
     assert api.client.put(f"/v1/uploads/{slot}", content=b"[{}]").json()["type"].endswith("unreadable-cameras")
+    slot = api.client.post("/v1/uploads", json={}).json()["id"]
+    lcc = api.client.put(f"/v1/uploads/{slot}", content=b'{"version": "5.0", "totalSplats": 9}').json()
+    assert lcc["type"].endswith("unreadable-model")
+    assert "XGRIDS" in lcc["detail"]
 
 
 @pytest.mark.parametrize("damage", [flip, Path.unlink])

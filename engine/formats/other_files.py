@@ -1,0 +1,137 @@
+"""What people hold for a Gaussian model and is none: what it is, and what to give or export instead."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+__all__ = ["advice_for"]
+
+_HEAD, _TAIL = 4096, 1 << 16
+_HEIC, _AVI, _MATROSKA = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1"), b"AVI ", b"\x1aE\xdf\xa3"
+_MESH_TEXT = re.compile(rb"(?:\A|\n)(?:mtllib \S|usemtl \S|v +[-+.\d])|<COLLADA")
+_CONVERTED = "splat-transform converts it (npx @playcanvas/splat-transform FILE model.ply)"
+_NO_MODEL = "no Gaussian model: give the splat that was made from the same photos, as .ply, .sog or .spz"
+
+
+@dataclass(frozen=True)
+class _Other:
+    """One kind of file: told by its first bytes, by its content, or, where neither speaks, by the end of its name."""
+
+    text: str
+    starts: tuple[bytes, ...] = ()
+    holds: Callable[[bytes], bool] = lambda _: False
+    endings: tuple[str, ...] = ()
+
+
+def _boxed(*brands: bytes) -> Callable[[bytes], bool]:
+    """Whether this is a file of the MPEG-4 family, of these brands or of any."""
+    return lambda data: data[4:8] == b"ftyp" and (not brands or data[8:12] in brands)
+
+
+def _zip_with(*names: bytes) -> Callable[[bytes], bool]:
+    """Whether this is a zip archive whose first entry, or whose list of entries, has a name that ends so."""
+    return lambda data: data.startswith(b"PK") and any(n in data[:_HEAD] or n in data[-_TAIL:] for n in names)
+
+
+def _json_with(*members: bytes) -> Callable[[bytes], bool]:
+    """Whether this is the text of a JSON object or list with one of these members."""
+    return lambda data: data[:_HEAD].lstrip()[:1] in (b"{", b"[") and any(b'"%s"' % m in data for m in members)
+
+
+_KINDS = (
+    _Other(
+        "is a PyTorch checkpoint, which is never opened here (it can run code): export its Gaussians as .ply (gsplat: "
+        "gsplat.export_splats, or train with --save_ply; nerfstudio: ns-export gaussian-splat --load-config config.yml "
+        "--output-dir DIR; INRIA: point_cloud/iteration_N/point_cloud.ply beside it)",
+        holds=_zip_with(b"/data.pkl"),
+        endings=(".pt", ".pth", ".ckpt", ".pkl"),
+    ),
+    _Other(
+        "is a numpy file: its arrays have no agreed names; write them as .ply (gsplat.export_splats)",
+        (b"\x93NUMPY",),
+        _zip_with(b".npy"),
+        (".npz", ".npy"),
+    ),
+    _Other(
+        "holds the weights of a network or the tensors of a training: export its Gaussians as .ply",
+        (b"\x89HDF",),
+        lambda data: data[4:9] == b"\0\0\0\0{",  # safetensors: the length of a JSON header, and that
+        (".safetensors", ".h5", ".hdf5", ".onnx"),
+    ),
+    _Other(
+        "is a scene of XGRIDS (LCC), read with the files beside it: export .ply from LCC Studio, or " + _CONVERTED,
+        holds=_json_with(b"totalSplats", b"totalLevel", b"splatType"),
+        endings=(".lcc", ".lcc2"),
+    ),
+    _Other(
+        "is a streamed scene of Spark (.rad): give the .ply, .spz or .sog that it was built from; where your version "
+        "of splat-transform reads it, " + _CONVERTED,
+        (b"RAD0",),
+        endings=(".rad",),
+    ),
+    _Other("is a Postshot project: export the scene as .ply (File > Export)", endings=(".psht",)),
+    _Other(
+        "is an OpenUSD scene, which is not read here: export its Gaussians as .ply",
+        (b"PXR-USDC", b"#usda"),
+        _zip_with(b".usdc", b".usda", b".usd"),
+        (".usd", ".usda", ".usdc", ".usdz"),
+    ),
+    _Other(
+        "is a list of 3D Tiles: give one of the .glb files with Gaussians that it names",
+        holds=_json_with(b"geometricError"),
+    ),
+    _Other(
+        "is the index of a SOG scene: give its folder, or the .sog", holds=_json_with(b"lodLevels", b"codebook", b"shN")
+    ),
+    _Other(
+        "holds cameras, no Gaussians: give the model, and this with --cameras",
+        holds=_json_with(b"frames", b"rotation", b"camera_model"),
+    ),
+    _Other(
+        "is the configuration of a nerfstudio training: export the model (ns-export gaussian-splat --load-config FILE "
+        "--output-dir DIR)",
+        holds=lambda data: b"!!python/object:nerfstudio" in data[:_HEAD],
+    ),
+    _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
+    _Other(
+        f"is a point cloud, {_NO_MODEL}",
+        (b"LASF", b"ASTM-E57", b"# .PCD", b"VERSION .7"),
+        endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx"),
+    ),
+    _Other(
+        f"is a mesh, {_NO_MODEL}",
+        (b"Kaydara FBX Binary", b"; FBX", b"BLENDER", b"solid "),
+        lambda data: b"\0" not in data[:_HEAD] and _MESH_TEXT.search(data[:_HEAD]) is not None,
+        (".obj", ".fbx", ".stl", ".dae", ".blend", ".3ds", ".off"),
+    ),
+    _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
+    _Other(
+        "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
+        (_MATROSKA,),
+        lambda data: _boxed()(data) or data[8:12] == _AVI,
+    ),
+    _Other("is a PDF: save the picture in it as PNG or JPEG", (b"%PDF",)),
+    _Other(
+        "is a web page: give the model that it loads, or a screenshot of what it shows",
+        holds=lambda data: data[:1024].lstrip().lower().startswith((b"<!doctype html", b"<html")),
+    ),
+    _Other(
+        "is a zip archive without meta.json, no SOG scene: unpack it, and give one model of those in it",
+        holds=lambda data: data.startswith(b"PK"),
+    ),
+    _Other(
+        "is a packed archive: unpack it, and give one model of those in it",
+        (b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd"),
+        lambda data: data[257:262] == b"ustar",
+    ),
+)
+
+
+def advice_for(data: bytes, file: str) -> str | None:
+    """What a file that is none of the formats read here is, and what to do, where its content or its name tells."""
+    told = (
+        lambda other: data.startswith(other.starts),
+        lambda other: other.holds(data),
+        lambda other: bool(other.endings) and file.lower().endswith(other.endings),
+    )
+    return next((other.text for tells in told for other in _KINDS if tells(other)), None)

@@ -1,0 +1,158 @@
+"""What other programs make of a Gaussian PLY: other names, colors in place of harmonics, half floats in integers."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.formats.ply.extras import named
+from engine.formats.ply.header import Element, Header, Property
+from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair
+from engine.model import SH_C0, Float32
+
+__all__ = ["DC", "activation_hints", "dc_of_colors", "plain_names", "plain_types", "rounded_centers"]
+
+DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
+_CODE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"}
+_HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
+_LEAST_HALF = 2.0**-10
+"""Whole numbers below 5,120 are half floats below this: a column of them has no larger value."""
+
+_SOUND_SHARE = 0.99
+"""Of values that are no NaN: of random bits, one half float in 32 is infinite or none."""
+
+_LARGEST_HALF = 65504.0
+
+_VISIBLE_ROUNDING = 1 / 20
+"""Of a Gaussian's size: what a centre may be rounded by before it is worth a word."""
+
+_FEW = 64  # too few to say from their values what they are
+
+
+def plain_names(header: Header) -> tuple[Header, list[Repair]]:
+    """The header with INRIA's names, where a program put a prefix before them (CloudCompare: ``scalar_``) or wrote
+    colors where the first coefficients should be (nerfstudio: ``red``, ``green``, ``blue``)."""
+    vertex = header.element("vertex")
+    if vertex is None:
+        return header, []
+    names = [p.name for p in vertex.properties]
+    prefix = next((name.removesuffix("opacity") for name in names if name.endswith("opacity")), "")
+    repairs: list[Repair] = []
+    if prefix and "opacity" not in names:
+        new = _unprefixed(names, prefix)
+        if set(new) >= _GAUSSIAN:
+            count = sum(a != b for a, b in zip(names, new, strict=True))
+            repairs.append(Repair("names_prefixed", count, f"the prefix {prefix[:40]!r} of {count} names was dropped"))
+            names = new
+    colors = next((c for c in _COLORS if set(c) <= set(names)), None)
+    if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:
+        table = dict(zip(colors, DC, strict=True))
+        names = [table.get(name, name) for name in names]
+        text = f"colors {named(colors)} were read as the first coefficients of harmonics"
+        repairs.append(Repair("colors_read", vertex.count, text))
+    properties = (Property(name, p.code, p.is_list) for name, p in zip(names, vertex.properties, strict=True))
+    return replace(header, elements=_with(header.elements, replace(vertex, properties=tuple(properties)))), repairs
+
+
+def _unprefixed(names: list[str], prefix: str) -> list[str]:
+    there, found = set(names), []
+    for name in names:
+        plain = name.removeprefix(prefix)
+        found.append(plain if plain and plain not in there else name)
+    return found
+
+
+def _with(elements: Iterable[Element], changed: Element) -> tuple[Element, ...]:
+    return tuple(changed if element.name == changed.name else element for element in elements)
+
+
+def plain_types(
+    records: npt.NDArray[np.void], used: Iterable[str], *, file: str
+) -> tuple[npt.NDArray[np.void], list[Repair]]:
+    """The records with every property in `used` a float: 16-bit integers are viewed as half floats where all of them
+    are plausible as such. FormatError for any other integers: a whole number is no size, opacity or rotation."""
+    fields = {name: field[0] for name, field in (records.dtype.fields or {}).items()}
+    whole = [name for name in used if fields[name].kind in "iu"]
+    if not whole:
+        return records, []
+    odd = next((name for name in whole if fields[name].itemsize != 2), None)
+    if odd is None:
+        order = {name: t.str[0] for name, t in fields.items()}
+        as_halves = np.dtype([(name, f"{order[name]}f2" if name in whole else t) for name, t in fields.items()])
+        viewed: npt.NDArray[np.void] = records.view(as_halves)
+        odd = next((name for name in whole if not _plausible(viewed[name], name)), None)
+        if set(whole) <= set("xyz") and _in_whole_units(records):
+            odd = whole[0]
+        if odd is None:
+            kinds = {_CODE_NAMES[fields[name].str[1:]] for name in whole}
+            text = f"{len(whole)} properties of type {named(sorted(kinds))} were read as the half floats that they hold"
+            return viewed, [Repair("half_floats", len(whole), text)]
+    kind = _CODE_NAMES[fields[odd].str[1:]]
+    message = f"is {kind}, and its values are no half floats either: a whole number cannot be one; export it as float"
+    raise FormatError(message, file=file, element="vertex", prop=odd)
+
+
+def _plausible(values: npt.NDArray[Any], name: str) -> bool:
+    """Whether half floats can be what a property of this name holds."""
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        found = np.abs(values.astype(np.float32))
+    limit = next((most for start, most in _HALF_LIMITS.items() if name.startswith(start)), _LARGEST_HALF)
+    good = (found <= limit) | (np.isinf(found) & (name == "opacity"))  # an opacity of 1 has an infinite logit
+    if np.count_nonzero(good) < _SOUND_SHARE * len(found):
+        return False
+    return name.startswith("f_rest") or not found.any() or float(found[good].max()) >= _LEAST_HALF
+
+
+def _in_whole_units(records: npt.NDArray[np.void]) -> bool:
+    """Whether sizes are such that centres may well be whole numbers: not far below one unit."""
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        return bool(np.median(records["scale_0"].astype(np.float64)) > np.log(1 / 20))
+
+
+def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:
+    """(N, 3) first coefficients of colors of that type: floats in 0..1, else 0..255, or all that their type holds."""
+    most = float(np.nanmax(colors, initial=0.0))
+    full = 1.0 if code.kind == "f" and most <= 2.0 else 255.0 if code.kind == "f" or most <= 255 else np.iinfo(code).max
+    return ((colors / np.float32(full) - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
+
+
+def rounded_centers(records: npt.NDArray[np.void], log_scales: Float32) -> list[Repair]:
+    """What is said where centres are doubles that float32 rounds by more than `_VISIBLE_ROUNDING` of a size."""
+    if all(records.dtype[axis].itemsize < 8 for axis in "xyz"):
+        return []
+    error = np.zeros(len(records))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis in "xyz":
+            exact = records[axis].astype(np.float64)
+            error = np.maximum(error, np.abs(exact - exact.astype(np.float32)))
+        rows = np.flatnonzero(np.isfinite(error) & (error > _VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1))))
+    if not len(rows):
+        return []
+    text = (
+        f"{len(rows)} centers (first in row {rows[0]}) are doubles that float32 rounds by up to "
+        f"{error[rows].max():.2g}, more than 1/20 of their Gaussian's size: move the scene to the origin first"
+    )
+    return [Repair("centers_rounded", len(rows), text)]
+
+
+def activation_hints(log_scales: Float32, logits: Float32) -> list[Repair]:
+    """Hints where values stored as logarithms and logits look like sizes and opacities themselves.
+
+    Of a trained scene, some sizes lie below one unit (a negative logarithm) and some opacities below 1/2 (a negative
+    logit) and above 0.73; values of which not one does are what the activation yields.
+    """
+    hints: list[Repair] = []
+    if len(logits) < _FEW:
+        return hints
+    what = "no change was made; if it renders as fog, export raw values"
+    opacities = logits.min() >= 0 and logits.max() <= 1 and logits.min() < logits.max()
+    if log_scales.min() > 0 and (opacities or np.median(log_scales) < 1):
+        hints.append(Repair("scales_activated", len(logits), f"scales look activated (already exponentiated): {what}"))
+    if opacities:
+        hints.append(Repair("opacities_activated", len(logits), f"opacities look activated (already 0 to 1): {what}"))
+    return hints
