@@ -71,7 +71,7 @@ class Settings(BaseSettings):
     conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")
     open_uploads: int = Field(100, gt=0, description="Uploads of a tenant that may be under way at a time.")
     tenant_bytes: int = Field(
-        100 * GIB, gt=0, description="Uploads and assets of a tenant, together; conversions do not count."
+        100 * GIB, gt=0, description="Uploads, acquisitions and assets of a tenant, together; conversions do not count."
     )
     acquisitions_per_hour: int = Field(60, gt=0, description="Acquisitions an API key may make in an hour.")
     acquire_seconds: float = Field(60.0, gt=0, description="An address that takes longer to answer is given up.")

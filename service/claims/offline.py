@@ -277,6 +277,8 @@ def _acquisition(
         return Check("acquisition", Status.FAIL, "the log's entry speaks of another acquisition")
     if entry["index"] >= audit["index"] or not _included(entry, found["proof"], audit):
         return Check("acquisition", Status.FAIL, "the acquisition is not in the log, or came after the claim")
+    if told["at"] > entry["at"]:
+        return Check("acquisition", Status.FAIL, "the acquisition was logged before it was made")
     if told["payload_sha256"] not in document["subject"]["sha256"]:
         return Check("acquisition", Status.FAIL, "the file that was acquired is not the suspect")
     origin = f"The suspect is the file that {'was fetched' if told['url'] else 'was handed in'} on {told['at']}"

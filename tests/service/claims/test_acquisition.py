@@ -27,7 +27,7 @@ from tests.service.claims.conftest import Registry
 SUSPECT = "12" * 32
 ROW = {
     **{"id": "aq_1", "tenant": "acme", "api_key": "k", "url": "https://models.example/a.ply", "upload": None},
-    **{"at": "2026-11-27T10:00:00.000000+00:00", "created_at": "2026-11-27T10:00:01.000000+00:00"},
+    **{"at": "2026-01-27T10:00:00.000000+00:00", "created_at": "2026-01-27T10:00:01.000000+00:00"},
     **{"payload_sha256": SUSPECT, "warc_sha256": "34" * 32, "bytes": 1, "warc_bytes": 1, "timestamp": None},
 }
 
@@ -147,6 +147,11 @@ def test_what_was_changed_is_found(registry: Registry, change: Callable[[dict[st
 
 def test_the_acquisition_of_something_else(registry: Registry) -> None:
     acquire(registry, payload_sha256="78" * 32)
+    assert checked(issue(registry).jws, registry).status is Status.FAIL
+
+
+def test_one_that_was_logged_before_it_was_made(registry: Registry) -> None:
+    acquire(registry, at="2999-01-01T00:00:00.000000+00:00")
     assert checked(issue(registry).jws, registry).status is Status.FAIL
 
 
