@@ -65,7 +65,7 @@ def test_a_mirrored_model_claims_as_if_it_were_not(scene: MarkedScene, suspect: 
     assert "the suspect model is a mirror image of the asset, and was read as such" in mirrored.notes
     assert not any("mirror" in note for note in plain.notes)
     told = [fact.text for fact in words_of(mirrored.to_json() | {"record_id": "", "owner": ""}, PLAIN).facts]
-    assert any(text.startswith("mirrored, then turned by") for text in told)
+    assert any("mirrored, rotated by" in text for text in told)
 
 
 def test_its_renders_are_read_in_the_mirror(scene: MarkedScene) -> None:

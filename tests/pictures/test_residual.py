@@ -121,7 +121,7 @@ def test_a_band_that_a_coder_emptied_counts_less(monkeypatch: pytest.MonkeyPatch
     name = "rotation, scale, jpeg50"
     with_ = z_score(evidence(name), marked().chips)
     monkeypatch.setattr(residual, "_survival", lambda off, known, share: 1.0)
-    assert with_ > 1.03 * z_score(evidence(name), marked().chips)
+    assert with_ > 1.03 * z_score(evidence.__wrapped__(name), marked().chips)
 
 
 def test_how_much_of_faint_details_survives() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.records.opened_record import open_record
+from engine.flows.verify.decision import read_copy
 from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
@@ -27,7 +28,6 @@ from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import Float64, GaussianModel
 from engine.registration.mixtures import Mixtures
 from engine.watermark.keys import CHIPS, signs
-from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import Evidence, compare_colors, gather_residual
 from engine.watermark.power import expected_z
 from engine.watermark.rates import MADE_FIRST
@@ -145,10 +145,9 @@ def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
     made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=32, config=fast_config(quick), copy="guilty")
     opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
     result = verify_model(made.model, opened, VerifyConfig(route="model"))
-    evidence, tint = result.evidence, opened.layout.chips
-    innocent = innocent_copies(opened, key, copies)
-    signs = (one.spreading_of(len(evidence.y)).signs(one.message) for one in innocent)
-    z = np.array([layered_z(evidence, each, tint).z["both"] for each in signs])
+    assert result.reading is not None
+    read = (read_copy(result.reading, each) for each in innocent_copies(opened, key, copies))
+    z = np.array([each.z for each in read if each is not None])
     verdict = "marked" if result.claim.z_threshold <= z.max() else "not_marked"
     what = "copies of other recipients"
     return [_row("copies", Path(path).name, what, "model", False, float(z.max()), verdict, counted(z))]

@@ -72,7 +72,7 @@ def test_variants_in_one_file_are_told_apart(
     for name, finding in marked.items():
         assert finding.claim.bit_accuracy == 1.0
         assert finding.objects[0][0] == name
-        assert finding.claim.tries == 30
+        assert finding.claim.tries == 60
 
 
 def test_a_moving_part_needs_its_moment(clip: SpacetimeModel, marked_clip) -> None:  # type: ignore[no-untyped-def]
