@@ -41,7 +41,7 @@ def write_warc(target: Path, body: Path, exchanges: Sequence[Exchange], name: st
     """
     with target.open("wb") as file, body.open("rb") as payload:
         writer = _Writer(file, gzip=True, warc_version="1.1")
-        writer.write_record(writer.create_warcinfo_record(target.name, {"software": TOOL, "format": "WARC/1.1"}))
+        writer.write_record(writer.create_warcinfo_record(None, {"software": TOOL, "format": "WARC/1.1"}))
         if not exchanges:
             address = f"file:///{quote(name or 'suspect')}"
             _write(writer, address, "resource", at, payload, {"Content-Type": "application/octet-stream"})

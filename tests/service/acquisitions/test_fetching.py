@@ -170,6 +170,7 @@ def test_the_archive_has_all_of_it(sites: Sites, names: Names, tmp_path: Path, m
     records = warc_records((tmp_path / "a.warc.gz").read_bytes())
     kinds = [headers["WARC-Type"] for headers, _ in records]
     assert kinds == ["warcinfo", *["response", "request", "metadata"] * 2]
+    assert "WARC-Filename" not in records[0][0], "it is written under a name of the moment"
     for headers, block in records[1:]:
         payload = block.partition(b"\r\n\r\n")[2] if "http" in headers["Content-Type"] else block
         assert headers["WARC-Block-Digest"] == sha256_of(block)
