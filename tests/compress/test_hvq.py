@@ -5,6 +5,7 @@ import pytest
 
 from engine.compress.hvq import (
     HvqConfig,
+    _seed_odds,
     assign,
     decode_stages,
     detail_metric,
@@ -135,6 +136,11 @@ def test_codes_that_nobody_uses_are_planted_anew() -> None:
     stage = learn_residual_stage(x, np.ones(4000), 64, HvqConfig(), seed=1)
     assert len(np.unique(stage.labels)) > 25
     assert float(((x - stage.decode()) ** 2).mean()) < 0.01
+
+
+def test_new_codes_are_drawn_by_weight_and_squared_error() -> None:
+    errors = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 2.0], [0, 0, 0]], np.float32)
+    np.testing.assert_allclose(_seed_odds(errors, np.array([1.0, 3.0, 1.0, 9.0])), [1 / 8, 3 / 8, 4 / 8, 0], atol=1e-9)
 
 
 def test_coarse_coefficients_are_left_to_stage_zero() -> None:

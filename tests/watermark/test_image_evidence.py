@@ -12,7 +12,7 @@ from engine.flows.embed.layer_strengths import add_dc
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
-from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, PublicMark, gather_image_evidence
+from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, PublicMark, _limits, gather_image_evidence
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import expected_z
 from engine.watermark.statistics import claim_z
@@ -169,3 +169,11 @@ def test_chips_of_like_response_count_for_what_their_scatter_leaves() -> None:
     assert not heard.evidence[:chips:7].any()
     turned = made(np.concatenate([-y, y[:2]]), np.concatenate([response, response[:2]]), (chips, 2)).by_scatter()
     np.testing.assert_allclose(turned.evidence[:chips], -weighed, rtol=1e-9)  # an odd function: blind to signs
+    wild = made(np.concatenate([10.0 * y, y[:2]]), np.concatenate([response, response[:2]]), (chips, 2)).by_scatter()
+    np.testing.assert_allclose(wild.evidence[:chips], weighed / 10.0, rtol=1e-9)
+
+
+def test_what_saturates_follows_from_the_usual_not_from_the_loudest() -> None:
+    """Of each carrier its own; silent chips do not count."""
+    loudest = np.array([1.0, 20.0, -1.0, 20.0, 1.0, 0.0, 500.0, -60.0])
+    np.testing.assert_array_equal(_limits(loudest, 2), CLIP * np.array([1.0, 20.0] * 4))

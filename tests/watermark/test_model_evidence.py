@@ -147,6 +147,8 @@ def test_no_mean_is_trusted_beyond_the_mark_itself() -> None:
     evidence = gather_model_evidence(layout, reference, (suspect + noise).astype(np.float32), identity(len(reference)))
     assert evidence.weights[:1536].mean() < 1.5 * evidence.weights[1536:].mean()
     assert evidence.weights.max() <= 0.02 / 0.02**2
+    equal = gather_model_evidence(layout, reference, reference.astype(np.float32), identity(len(reference)))
+    assert equal.weights.max() <= 0.02 / 0.02**2
 
 
 def test_what_members_share_is_noise_though_they_agree() -> None:
