@@ -64,14 +64,11 @@ def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", picture
     pictures : int
         How many were looked at; 0 for a model.
     """
-    against = [
-        (
-            math.log10(DISHONEST_CLAIMANT_RATE),
-            f"required where no time-stamping service drew: 1 in {form.power(2, 128)}",
-        )
-    ]
     rate = claim["false_claim_rate"]
-    if rate is not None and rate != DISHONEST_CLAIMANT_RATE:
+    drawn = rate is not None and rate != DISHONEST_CLAIMANT_RATE
+    named = "without a time stamp" if drawn else "required"
+    against = [(math.log10(DISHONEST_CLAIMANT_RATE), f"{named}: 1 in {form.power(2, 128)}")]
+    if drawn:
         against.append((math.log10(rate), f"required here: {form.rate(rate)}"))
         against.sort(reverse=True)
     return Words(

@@ -19,7 +19,7 @@ BASES = {
     "attested": "the registration is attested, and older than the suspect",
     "drawn": "the registration is attested, and a time-stamping service's signature contributed to the watermark",
     "self_declared": "the registration date is self-declared",
-    "undated": "the registration is attested, but the date since when the suspect is known is missing",
+    "undated": "the registration is attested, but no time-stamping service drew a part of the watermark",
     "dated": "the registration is attested; that the suspect is younger is the owner's own statement",
     "younger": "the suspect was known before the attested registration",
 }
