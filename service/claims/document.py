@@ -3,7 +3,7 @@
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import Any, cast
 
@@ -18,6 +18,7 @@ from engine.watermark.derivation import NOT_FOUND, Derivation
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.clock import LOG
 from service.http.results import Reading
+from service.trust.audit import Entry
 from service.trust.canonical import canonical
 from service.trust.commitments import acquisition_facts
 
@@ -74,27 +75,45 @@ def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
     return told | unnamed | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
 
+@dataclass(frozen=True, kw_only=True)
+class Examined:
+    """What was examined: the files handed in, and the pictures that were drawn for the report."""
+
+    sha256: Sequence[str]  # of each file, in order
+    pictures: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by name, stored already
+    names: Sequence[str] = ()  # of the files, not signed
+    acquisition: str | None = None  # its id, where the file was acquired
+
+
+@dataclass(frozen=True)
+class Registered:
+    """The asset that a claim is about, if it is about one, and what the log says of it."""
+
+    asset: Mapping[str, Any] | None = None  # its row
+    registration: Entry | None = None
+    first: Entry | None = None  # registration of its original's first copy by this tenant
+
+
 def build_document(
     reply: Mapping[str, Any],
+    examined: Examined,
+    registered: Registered,
     *,
     claim_id: str,
     created_at: str,
-    sha256: Sequence[str],
-    asset: Mapping[str, Any] | None,
-    registered_at: str,
-    original_registered_at: str,
-    pictures: Mapping[str, str],
     issuer: Mapping[str, str] | None = None,
     owner: str = "",
     acquisition: Mapping[str, Any] | None = None,
 ) -> Document:
     """The document without its member `audit`, as JSON values.
 
-    Made of the `reply` of the task `verify`, the `sha256` of each file handed in, and those of the report's `pictures`
-    by name. `asset` is the row of the asset that the reply names, if it names one; the two dates say when it entered
-    the log, and when a copy of its original was first registered. `issuer` has `name` and `address`; `owner` is the
-    display name of who asked; `acquisition` is the member of that name.
+    Made of the `reply` of the task `verify`. `issuer` has `name` and `address`; `owner` is the display name of the
+    tenant; `acquisition` is the member of that name.
     """
+    asset = registered.asset
+    registered_at, first_at = (
+        entry.at if entry is not None else "" for entry in (registered.registration, registered.first)
+    )
     claim, subject = reply["claim"], reply["subject"]
     plain: Document = {
         "schema_version": SCHEMA_VERSION,
@@ -107,7 +126,7 @@ def build_document(
         "searched": reply["searched"],
         "subject": {
             "kind": "pictures" if subject["pictures"] else "model",
-            "sha256": list(sha256),
+            "sha256": list(examined.sha256),
             "format": subject["format"] or "pictures",
             "gaussians": subject["gaussians"],
         },
@@ -116,7 +135,7 @@ def build_document(
         "drawing": reply.get("drawing"),  # replies of before have none
         "tries": reply["tries"],
         "checks": [{name: check[name] for name in ("code", "ok", "text")} for check in reply["checks"]],
-        "pictures": dict(pictures),
+        "pictures": dict(examined.pictures),
         "regions": reply.get("regions"),  # replies of before have none
         **(_found(claim, reply["registered_message"]) if claim is not None else _NOTHING),
     }
@@ -131,7 +150,7 @@ def build_document(
             "original": {
                 "sha256": asset["original_sha256"],
                 "format": asset["original_format"],
-                "registered_at": original_registered_at,
+                "registered_at": first_at,
             },
             "record_id": asset["record_id"],
             "copy": asset["copy"],

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from engine.present.reading import reading_of
 from engine.records.timestamps import stamp
-from service.claims.document import build_document, document_reading, no_pack
+from service.claims.document import Examined, Registered, build_document, document_reading, no_pack
 from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
@@ -20,7 +20,6 @@ from service.jobs.port import Job
 from service.problems import Problem
 from service.trust import audit
 from service.trust.api_keys import display_name
-from service.trust.audit import Entry
 from service.trust.canonical import canonical
 from service.trust.commitments import ACQUISITION_MADE, acquisition_facts, commit_claim, registration_of
 from service.trust.master import MasterKey
@@ -49,10 +48,12 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
             tenant=job.tenant,
             job=job.id,
             reply=reply,
-            pictures=reply["kept"],
-            sha256=files,
-            names=job.request.get("names", ()),  # jobs of earlier versions have none
-            acquisition=job.request.get("acquisition_id"),
+            examined=Examined(
+                sha256=files,
+                pictures=reply["kept"],
+                names=job.request.get("names", ()),  # jobs of earlier versions have none
+                acquisition=job.request.get("acquisition_id"),
+            ),
             issuer={"name": service.settings.issuer_name, "address": service.settings.public_url},
         )
     result: dict[str, Any] = {
@@ -93,47 +94,40 @@ def issue_claim(
     tenant: str,
     job: str,
     reply: Mapping[str, Any],
-    sha256: Sequence[str],
-    pictures: Mapping[str, str],
-    names: Sequence[str] = (),
+    examined: Examined,
     issuer: Mapping[str, str] | None = None,
-    acquisition: str | None = None,
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
     `reply` is that of `service.claims.document.of_what_was_found`; `issuer` says who we are.
-    `sha256` is of each file handed in, in order, and `names` what they were called, which is not signed; `pictures`
-    names those of the report, stored already, by SHA-256.
-    `acquisition` is the id of the suspect's, if it has one; conflict where that was deleted meanwhile.
+    "conflict" where the acquisition was deleted meanwhile,
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
     alone(connection)
     query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)
     if (row := connection.execute(query).one_or_none()) is not None:
         return IssuedClaim(row.id, json.loads(row.document), row.jws)
-    asset, registration, first = _registered(connection, tenant, reply["asset"])
+    registered = _registered(connection, tenant, reply["asset"])
+    acquisition = examined.acquisition
     acquired = _acquired(connection, tenant, acquisition) if acquisition is not None else None
     claim_id, created_at = "cl_" + job.removeprefix("job_"), now()
     document = build_document(
         reply,
+        examined,
+        registered,
         claim_id=claim_id,
         created_at=created_at,
-        sha256=sha256,
-        asset=asset,
-        registered_at=registration.at if registration is not None else "",
-        original_registered_at=first.at if first is not None else "",
-        pictures=pictures,
         issuer=issuer,
         owner=display_name(connection, tenant),
         acquisition=acquired,
     )
     entry = audit.find(connection, ACQUISITION_MADE, acquired["id"]) if acquired is not None else None
-    document["audit"] = commit_claim(connection, tenant, document, registration, first, entry)
+    document["audit"] = commit_claim(connection, tenant, document, registered.registration, registered.first, entry)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
     values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
-    values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(dict(pictures)).decode()}
-    values |= {"verdict": document["verdict"], "names": "\n".join(" ".join(name.split()) for name in names)}
+    values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(dict(examined.pictures)).decode()}
+    values |= {"verdict": document["verdict"], "names": "\n".join(" ".join(name.split()) for name in examined.names)}
     connection.execute(claims.insert().values(values))
     return IssuedClaim(claim_id, json.loads(payload), jws)
 
@@ -166,12 +160,9 @@ def _acquired(connection: sa.Connection, tenant: str, acquisition: str) -> dict[
     return acquisition_facts(row._asdict()) | {"timestamp": stamped}
 
 
-def _registered(
-    connection: sa.Connection, tenant: str, asset_id: str | None
-) -> tuple[Mapping[str, Any] | None, Entry | None, Entry | None]:
-    """Row of an asset, its registration in the log, and the first one of its original by this tenant."""
+def _registered(connection: sa.Connection, tenant: str, asset_id: str | None) -> Registered:
     if asset_id is None:
-        return None, None, None
+        return Registered()
     mine = assets.c.tenant == tenant
     row = connection.execute(assets.select().where(mine, assets.c.id == asset_id)).one_or_none()
     if row is None:
@@ -179,4 +170,5 @@ def _registered(
     same = sa.select(assets.c.id).where(mine, assets.c.original_sha256 == row.original_sha256)
     entries = [registration_of(connection, name) for name in connection.execute(same).scalars()]
     first = min(entries, key=lambda entry: entry.index)
-    return row._asdict(), next(entry for entry in entries if entry.subject == asset_id), first
+    own = next(entry for entry in entries if entry.subject == asset_id)
+    return Registered(row._asdict(), own, first)

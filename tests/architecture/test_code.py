@@ -56,8 +56,6 @@ WIDE = {
     "engine/lab/raster/cuda.py": ["rasterize"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
     "engine/lab/sim/variants/variant_table.py": ["_row"],
-    "service/claims/document.py": ["build_document"],
-    "service/claims/issuing.py": ["issue_claim"],
 }
 """Functions with more, by file: to be fewer, never more."""
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from service.claims.document import Examined
 from service.claims.issuing import issue_claim
 from service.core import Service
 from service.db.schema import assets, claims
@@ -40,9 +41,7 @@ def claim_of(service: Service, api: Api, number: int, found: dict[str, Any], nam
             tenant=tenant,
             job=f"job_pack{number}",
             reply=found,
-            sha256=["12" * 32],
-            names=names,
-            pictures=kept,
+            examined=Examined(sha256=["12" * 32], names=names, pictures=kept),
             issuer={"name": "Marks Ltd", "address": "https://marks.example"},
         )
     return claim.id

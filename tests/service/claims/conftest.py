@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from service.claims.document import Examined
 from service.claims.issuing import IssuedClaim, issue_claim
 from service.db import Database
 from service.db.schema import assets
@@ -47,8 +48,10 @@ class Registry:
                 tenant=tenant,
                 job=job,
                 reply=found or reply(),
-                sha256=["12" * 32],
-                pictures={name: hashlib.sha256(data).hexdigest() for name, data in PICTURES.items()},
+                examined=Examined(
+                    sha256=["12" * 32],
+                    pictures={name: hashlib.sha256(data).hexdigest() for name, data in PICTURES.items()},
+                ),
             )
 
     def sign(self, payload: bytes) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from engine.records.timestamps import make_query
+from service.claims.document import Examined
 from service.claims.issuing import IssuedClaim, issue_claim
 from service.claims.offline import Check, Status, verify_report
 from service.cli.verify_report import verify_report as command
@@ -52,9 +53,7 @@ def issue(registry: Registry) -> IssuedClaim:
             tenant="acme",
             job="job_1",
             reply=reply(),
-            sha256=[SUSPECT],
-            pictures={},
-            acquisition="aq_1",
+            examined=Examined(sha256=[SUSPECT], acquisition="aq_1"),
         )
 
 

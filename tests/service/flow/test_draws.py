@@ -18,7 +18,7 @@ from engine.flows.embed.copy_mark import DRAWS as PLANS
 from engine.flows.records.opened_record import open_record
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import DRAWS
-from service.claims.document import of_what_was_found
+from service.claims.document import Examined, of_what_was_found
 from service.claims.issuing import issue_claim
 from service.claims.offline import Status, verify_report
 from service.core import Service
@@ -95,8 +95,7 @@ class House:
                 tenant="acme",
                 job=f"job_claim{self.jobs}",
                 reply=of_what_was_found(found),
-                sha256=[self.model],
-                pictures=found["kept"],
+                examined=Examined(sha256=[self.model], pictures=found["kept"]),
             )
         return claim.document, claim.jws
 
