@@ -30,7 +30,6 @@ from service.http.error_responses import install
 from service.http.middleware import BodyGuard, SafeHeaders
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me
-from service.settings import OPTIONAL_ROUTERS
 from service.tracking.endpoints import router as jobs
 from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
@@ -115,9 +114,8 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    left_out = set(OPTIONAL_ROUTERS).difference(service.settings.routers.split(","))
     for name, router in ROUTERS:
-        if name not in left_out:
+        if service.settings.has_router(name):
             app.include_router(router)
     install(app)
     app.add_middleware(BodyGuard, settings=service.settings)

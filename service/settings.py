@@ -109,6 +109,10 @@ class Settings(BaseSettings):
             raise ValueError(f"{', '.join(sorted(unknown))}: none of {', '.join(OPTIONAL_ROUTERS)}")
         return text
 
+    def has_router(self, name: str) -> bool:
+        """Whether a part of the API is there."""
+        return name not in OPTIONAL_ROUTERS or name in self.routers.split(",")
+
     def database(self) -> str:
         """SQLAlchemy URL of our tables."""
         if not self.database_url:

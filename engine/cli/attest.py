@@ -11,7 +11,6 @@ import typer
 from engine.cli.console import Console
 from engine.cli.options import Json
 from engine.cli.trust_options import Jwks, TrustedList, TsaCertificates, read_attestation, read_trust
-from engine.errors import InputError
 from engine.usecases.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 
 
@@ -47,7 +46,7 @@ def attest(
     """
     from engine.records.attestation import attach, header_digest, read_attestations, stamp_of
     from engine.records.file import public_bytes
-    from engine.records.timestamps import make_query, stamp
+    from engine.records.timestamps import make_query, require_stamp
     from engine.records.witnessing import check_attestations
 
     console = Console(json)
@@ -61,10 +60,7 @@ def attest(
             part.write_bytes(make_query(public))
     more = [read_attestation(path) for path in attestation or ()]
     if tsa is not None:
-        stamped = stamp(tsa, public)
-        if stamped.token is None:
-            raise InputError(stamped.failure)
-        more.append(stamp_of(stamped.token))
+        more.append(stamp_of(require_stamp(tsa, public)))
     whole = attach(data, *more) if more else data
     witnesses, notes = check_attestations(whole, read_trust(tsa_certificates, jwks, trusted_list))
     if whole != data:

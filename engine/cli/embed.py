@@ -22,6 +22,7 @@ from engine.usecases.files import read_bytes
 
 if TYPE_CHECKING:
     from engine.flows.embed.auto_profile import Spent
+    from engine.flows.embed.draws import Stamp
     from engine.scenes.scene_files import Loaded
     from engine.usecases.mark import MarkOutput, MarkReport
 
@@ -118,8 +119,9 @@ def embed(
 
     With --tsa a part of the watermark follows from a time stamp, so that nobody
     can try records out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
-    where verify gets that service's certificate (--tsa-certificates). A digest
-    is sent, and nothing of the model; each embedding has another watermark.
+    where verify gets that service's certificate (--tsa-certificates). Only a
+    digest is sent. Each run draws another watermark: mark further copies with
+    --earlier, or two watermarks give each other away.
     """
     console = Console(json)
     began = time.perf_counter()
@@ -145,7 +147,7 @@ def embed(
             bits=bits or 32,
             cameras=read_cameras(cameras) if cameras is not None else None,
             registered_at=datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at,
-            stamp=partial(_ask, tsa) if tsa is not None else None,
+            stamp=_service(tsa) if tsa is not None else None,
             earlier=Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None,
         ),
         profile=profile,
@@ -176,6 +178,11 @@ def embed(
     say_repairs(console, reports[0].mark.repairs)
     for report in reports:
         _say(console, report, model)
+    if tsa is not None and earlier is None:
+        console.say(
+            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another one is drawn,"
+            " and two give each other away to anyone who compares the files."
+        )
     console.emit(reports[0] if len(reports) == 1 else {"copies": reports})
     return 0
 
@@ -197,14 +204,10 @@ class CopyReport(Report):
         return self.mark.to_json() | found
 
 
-def _ask(tsa: str, data: bytes) -> bytes:
-    """The reply of a time-stamping service; InputError where it gives none."""
-    from engine.records.timestamps import stamp
+def _service(tsa: str) -> Stamp:
+    from engine.records.timestamps import require_stamp
 
-    stamped = stamp(tsa, data)
-    if stamped.token is None:
-        raise InputError(f"{stamped.failure}: nothing was marked, try again later")
-    return stamped.token
+    return partial(require_stamp, tsa)
 
 
 def _outputs(copies: list[str], out: Path, record: Path) -> dict[str, MarkOutput]:

@@ -40,11 +40,11 @@ class Reading(Report):
     z: float | None  # detection statistic; 0 +- 1 without a mark
     hypotheses: int  # tested in this verification; every bound counts them
     log10_false_claim: float  # upper bound on the probability that an unrelated key scores this high, log10
-    # Bits of evidence against chance: -log2 of that bound. 30 is needed for 1 in 10^9, 128 where the registration is
-    # not attested
+    # -log2 of that bound, in bits. A claim needs 30 (1 in 10^9) where a time-stamping service drew a part of the
+    # watermark, else 128
     strength: float
-    # 1 - that bound: 0 says nothing, and it is 1.0 in floating point from a strength of 53 on. Not the probability
-    # that the suspect is marked
+    # 1 - that bound; 0 is no evidence, and from a strength of 53 on it rounds to 1.0. It is not the probability that
+    # the suspect is marked
     confidence: float
     derived_fraction: float | None  # share of the registered model found in the suspect; None where not measured
 

@@ -130,7 +130,7 @@ def why_no_bits(claim: Mapping[str, Any]) -> str | None:
     if claim["message"] is None or not recognizes(claim):
         return "nothing of a registered model was recognized in the suspect"
     known = max(claim["bit_reliability"]) > COIN
-    return None if known else "what was recognized says nothing about the bits"
+    return None if known else "the asset was recognized, but no bit could be read"
 
 
 def _nothing_of(claim: Mapping[str, Any]) -> str:

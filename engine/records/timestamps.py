@@ -21,6 +21,8 @@ from rfc3161_client import (
     decode_timestamp_response,
 )
 
+from engine.errors import InputError
+
 SECONDS = 10.0
 """How long a time-stamping service may take to answer, and to send its answer."""
 MOST_BYTES = 64 * 1024
@@ -61,6 +63,14 @@ def stamp(url: str, data: bytes) -> Stamped:
         return Stamped(reply)
     except (TimestampFault, OSError, HTTPException, ValueError) as error:
         return Stamped(None, f"no time stamp: {error or type(error).__name__}")
+
+
+def require_stamp(url: str, data: bytes) -> bytes:
+    """As `stamp`: the reply (DER). InputError where there is none."""
+    stamped = stamp(url, data)
+    if stamped.token is None:
+        raise InputError(stamped.failure)
+    return stamped.token
 
 
 def stamped_at(token: bytes, data: bytes) -> str:

@@ -61,7 +61,7 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
         **{"claim_id": claim.id, "asset_id": claim.document["asset"], "checks": claim.document["checks"]},
         **{"others": _others(service.db, job.tenant, reply.get("others", ())), "links": links_of(claim.document)},
     }
-    if "packs" not in service.settings.routers.split(","):
+    if not service.settings.has_router("packs"):
         result["links"].pop("pack", None)
     url = service.settings.tsa_url
     if url and (failure := stamp_claim(service.db, url, claim)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -50,6 +51,8 @@ def acquire(
     for target in (out, save):
         if target is not None:
             check_target(target)
+    if out.exists():
+        raise InputError(f"{str(out)!r} exists: evidence is not replaced, give another name")
     with TemporaryDirectory() as folder:
         body, exchanges, at = Path(source), list[Exchange](), now()
         if fetched:
@@ -61,7 +64,7 @@ def acquire(
             write_warc(part, body, exchanges, body.name, at)
         if save is not None:
             with whole_file(save) as part:
-                part.write_bytes(body.read_bytes())
+                shutil.copyfile(body, part)
         report: dict[str, str | int | None] = {
             "url": source if fetched else None,
             "at": exchanges[-1].at if exchanges else at,
@@ -71,7 +74,7 @@ def acquire(
     if tsa is not None:
         stamped = stamp(tsa, out.read_bytes())
         if stamped.token is None:
-            raise InputError(stamped.failure)
+            raise InputError(f"{stamped.failure}; {out} is written without one")
         with whole_file(out.with_name(f"{out.name}.tsr")) as part:
             part.write_bytes(stamped.token)
     console.say(f"{out}: {report['bytes']:,} bytes {'from ' + source if fetched else 'as handed in'}")

@@ -1,7 +1,7 @@
 """The steps of an embed job: mark the upload and register it.
 
-What its uploader is told follows from the uploader's own assets alone. Whether the upload carries the mark of another
-owner is looked at afterwards, by a job of the service's own (`watch`), and told to that owner.
+The answer to the uploader depends on the uploader's own assets alone. A later job of the service (`watch`) looks for
+the marks of other owners in the upload and notifies those owners.
 """
 
 import json

@@ -114,7 +114,7 @@ class Reading(TypedDict):
     ]
     strength: Annotated[
         float,
-        Field(ge=0, description="-log2 of that bound, in bits: 30 is 1 in 10^9; 128 is needed without attested date."),
+        Field(ge=0, description="-log2 of that bound, in bits: 30 is 1 in 10^9; 128 is needed if no time stamp drew."),
     ]
     confidence: Annotated[
         float, Field(description="1 - that bound; rounds to 1.0 from strength 53 on. Not the probability of a mark.")

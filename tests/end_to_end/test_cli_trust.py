@@ -67,6 +67,9 @@ def test_where_a_time_stamping_service_drew_a_claim_needs_less(marked: Marked, c
     assert "no time stamp" in said["error"]["message"]
     with serving(authority.reply) as url:
         assert marked.ask(capsys, *made, url)[0] == 0
+    again = (*made[:2], tmp_path / "later.ply", *made[3:6], tmp_path / "later.record", *made[7:-1], "--earlier", record)
+    assert marked.ask(capsys, *again)[0] == 0, "nobody is asked for a stamp"
+    assert (tmp_path / "later.ply").read_bytes() == model.read_bytes(), "another watermark"
     ask = ("verify", model, "--record", record, "--key", marked.key)
     for trust, basis, rate in (
         (("--tsa-certificates", tmp_path / "ca.pem"), "drawn", CHANCE_RATE),

@@ -54,9 +54,8 @@ class ZipArchive:
             raise FormatError(f"damaged zip archive ({fault})", file=file) from None
         self._entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
-            name = entry.filename.replace("\\", "/").removeprefix(
-                "./"
-            )  # as some programs of Windows and tar write them
+            # Some programs on Windows write backslashes, tar writes "./".
+            name = entry.filename.replace("\\", "/").removeprefix("./")
             if name in self._entries:
                 raise FormatError("zip archive holds two entries of this name", file=file, element=name)
             self._entries[name] = entry

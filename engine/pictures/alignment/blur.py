@@ -41,7 +41,7 @@ class BlurConfig:
     margin: float = 2.5
     spill: int = 8  # around the model's render, where the picture may show it: half of the longest line
     samples: int = 20_000  # pixels that tell the kernel, and the first look
-    least_samples: int = 2_000  # below which nothing is told
+    least_samples: int = 2_000  # with fewer, no blur is estimated
     ridge: float = 1e-5  # of the normal matrix's mean diagonal: what the render does not show is not made up
     rounds: int = 2  # of the robust fit
     outlying: float = 3.0  # robust standard deviations at which a pixel counts for half

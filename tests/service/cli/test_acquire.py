@@ -54,3 +54,14 @@ def test_nothing_is_written_of_what_is_refused(sites: Sites, tmp_path: Path, cap
     with pytest.raises(InputError, match="no-such"):
         told(capsys, str(tmp_path / "no-such.ply"), out)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_evidence_is_not_replaced_and_a_missing_stamp_is_said(tmp_path: Path, capsys: Capsys) -> None:
+    (tmp_path / "saved.ply").write_bytes(b"ply")
+    source, out = str(tmp_path / "saved.ply"), tmp_path / "a.warc.gz"
+    with serving(lambda _: b"", status=503) as tsa, pytest.raises(InputError, match=r"a\.warc\.gz is written without"):
+        told(capsys, source, out, tsa=tsa)
+    before = out.read_bytes()
+    with pytest.raises(InputError, match="exists"):
+        told(capsys, source, out)
+    assert out.read_bytes() == before

@@ -1,4 +1,4 @@
-"""Notices to owners whose mark was found in an upload, and which webhooks are told."""
+"""A table of notices to owners whose mark was found in an upload, and a column for the events of each webhook."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -8,7 +8,7 @@ down_revision = "0008"
 
 
 def upgrade() -> None:
-    """An empty table; webhooks of before are told of jobs alone."""
+    """Add both; existing webhooks keep to the end of jobs."""
     names = ("tenant", "asset", "upload", "finding", "created_at")
     texts = [sa.Column(name, sa.Text, nullable=False) for name in names]
     op.create_table("notices", sa.Column("id", sa.Text, primary_key=True), *texts)
