@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 import socket
 import ssl
-import threading
 from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
 
 import pytest
 
-Behaviour = Callable[[BaseHTTPRequestHandler], None]
+from tests.service.webhooks.receiver import Behaviour, listen
+
 Names = dict[str, list[str]]
 
 
@@ -49,12 +49,8 @@ class Site:
             def log_message(self, *_: Any) -> None:
                 """Say nothing."""
 
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.server.daemon_threads = True
-        if context is not None:
-            self.server.socket = context.wrap_socket(self.server.socket, server_side=True)
+        self.server = listen(Handler, context)
         self.port = int(self.server.server_address[1])
-        threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
 
     def url(self, path: str = "/", name: str = "127.0.0.1") -> str:
         return f"http://{name}:{self.port}{path}"
