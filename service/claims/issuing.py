@@ -18,6 +18,7 @@ from service.db import Database, alone
 from service.db.schema import acquisitions, assets, claims
 from service.jobs.port import Job
 from service.problems import Problem
+from service.settings import Settings
 from service.trust import audit
 from service.trust.api_keys import display_name
 from service.trust.canonical import canonical
@@ -58,23 +59,25 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
         )
     result: dict[str, Any] = {
         **document_reading(claim.document),
-        **{"claim_id": claim.id, "asset_id": claim.document["asset"], "checks": claim.document["checks"]},
-        **{"others": _others(service.db, job.tenant, reply.get("others", ())), "links": links_of(claim.document)},
+        "claim_id": claim.id,
+        "asset_id": claim.document["asset"],
+        "checks": claim.document["checks"],
+        "others": _others(service.db, job.tenant, reply.get("others", ())),
+        "links": links_of(claim.document, service.settings),
     }
-    if not service.settings.has_router("packs"):
-        result["links"].pop("pack", None)
     url = service.settings.tsa_url
     if url and (failure := stamp_claim(service.db, url, claim)):
         result["timestamp_failure"] = failure
     return result
 
 
-def links_of(document: Document) -> dict[str, str]:
-    """Where a claim and what belongs to it are, as paths of the API."""
+def links_of(document: Document, settings: Settings) -> dict[str, str]:
+    """Where a claim and what belongs to it are, as paths of the API; a pack where there are packs."""
     claim = f"/v1/claims/{document['claim_id']}"
     links = {"claim": claim, "jws": f"{claim}.jws", "report": f"{claim}/report"}
     links |= {"asset": f"/v1/assets/{document['asset']}"} if document["asset"] else {}
-    return links | ({"pack": f"{claim}/pack"} if not no_pack(document) else {})
+    packed = settings.has_router("packs") and not no_pack(document)
+    return links | ({"pack": f"{claim}/pack"} if packed else {})
 
 
 def _others(db: Database, tenant: str, claims: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

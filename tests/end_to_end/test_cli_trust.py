@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from engine.cli.app import run
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 from tests.end_to_end.conftest import Marked
 from tests.records.test_timestamps import Authority, serving
@@ -66,7 +67,8 @@ def test_where_a_time_stamping_service_drew_a_claim_needs_less(marked: Marked, c
     assert (code, model.exists(), record.exists()) == (2, False, False)
     assert "no time stamp" in said["error"]["message"]
     with serving(authority.reply) as url:
-        assert marked.ask(capsys, *made, url)[0] == 0
+        assert run([*map(str, made), url]) == 0
+    assert f"--earlier {record}" in " ".join(capsys.readouterr().out.split())
     again = (*made[:2], tmp_path / "later.ply", *made[3:6], tmp_path / "later.record", *made[7:-1], "--earlier", record)
     assert marked.ask(capsys, *again)[0] == 0, "nobody is asked for a stamp"
     assert (tmp_path / "later.ply").read_bytes() == model.read_bytes(), "another watermark"
@@ -81,8 +83,6 @@ def test_where_a_time_stamping_service_drew_a_claim_needs_less(marked: Marked, c
 
 @pytest.mark.long
 def test_the_thief_who_marks_again_and_dates_back_loses(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
-    from engine.cli.app import run
-
     key, record, model, page = (tmp_path / name for name in ("his.key", "his.record", "his.ply", "dispute.html"))
     marked.ask(capsys, "keygen", key)
     made = ("embed", marked.model, model, "--key", key, "--record", record, "--profile", "fast")

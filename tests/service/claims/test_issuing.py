@@ -12,10 +12,11 @@ from engine.records import signatures
 from engine.records.timestamps import Stamped
 from service.claims import issuing
 from service.claims.document import document_words
-from service.claims.issuing import IssuedClaim, stamp_claim
+from service.claims.issuing import IssuedClaim, links_of, stamp_claim
 from service.claims.schema import ClaimDocument
 from service.db.schema import assets, audit, claims
 from service.problems import Problem
+from service.settings import Settings
 from service.trust.audit_check import verify_log
 from service.trust.canonical import canonical
 from tests.service.claims.cases import KINDS, nothing, reply
@@ -42,6 +43,12 @@ def test_a_claim_is_logged_signed_and_stored(registry: Registry, kind: str) -> N
     report = verify_log(registry.db)
     assert report.ok, report.text()
     assert (report.assets, report.claims) == (1, 1)
+
+
+def test_links_lead_to_a_pack_where_there_are_packs(registry: Registry) -> None:
+    document = registry.issue().document
+    assert "pack" in links_of(document, Settings())
+    assert "pack" not in links_of(document, Settings(routers="shares"))
 
 
 def test_both_layers_of_the_evidence_are_signed(registry: Registry) -> None:
