@@ -22,13 +22,13 @@ from engine.flows.verify.search import Suspect, verify
 from engine.model import GaussianModel
 from engine.numerics.plain import Json, plain
 from engine.watermark.claim import Claim, Verdict
-from engine.watermark.layout import MARK_SCALE
+from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.rates import moment
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
 __all__ = ["Dispute", "Look", "Party", "settle"]
 
-COPIED = 0.25 * MARK_SCALE
+COPIED = 0.25 * WATERMARK.planning.mark_scale
 """Largest typical difference of colours, SH units, between a model and its copy: a quarter of what a mark moves. Trade
 formats round to less."""
 
