@@ -125,7 +125,7 @@ class Catalogue:
         return [self.names[number] for number in dict.fromkeys(turns)]
 
     def like_pictures(self, pictures: Sequence[Float32]) -> list[tuple[str, float]]:
-        """The assets that pictures (h, w, 3), 0..1, of one and the same may show, the likeliest first, and how loud
+        """The assets that pictures (h, w, 3), 0..1, of one asset may show, the likeliest first, and how loud
         the votes are that agree."""
         total = np.zeros(len(self))
         for picture in pictures:
@@ -209,7 +209,7 @@ def screen_model(catalogue: Catalogue, suspect: SuspectIndex, among: Container[s
 def screen_pictures(
     catalogue: Catalogue, pictures: Sequence[Float32], among: Container[str] | None = None
 ) -> list[Likeness]:
-    """The assets that pictures of one and the same may show, the likeliest first; those that no vote speaks for are
+    """The assets that pictures of one asset may show, the likeliest first; those that no vote speaks for are
     left out."""
     ranked = catalogue.like_pictures(pictures)
     return [Likeness(name, votes, votes >= CONFIG.shown) for name, votes in ranked if among is None or name in among]

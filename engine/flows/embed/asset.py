@@ -55,7 +55,7 @@ class Asset:
     landmarks: Landmarks | None
     seen: SeenPoints | None
     key: OwnerKey = field(repr=False)
-    copied: bool  # whether its copies are told apart: a layer of theirs then lies on the owner's
+    copied: bool  # whether its copies differ: a layer of theirs then lies on the owner's
 
     @cached_property
     def grained(self) -> Grained:
@@ -108,11 +108,11 @@ class Asset:
         if not self.copied:
             return plan
         secret = cells_key(self.key, self.digest, COPIES)
-        beside = stages[0] if own else self._joined(secret, blurred=still is not None)
+        stage = stages[0] if own else self._joined(secret, blurred=still is not None)
         times = None if still is None else multiples(secret, still)
         alone = replace(config, stages=1)
         layer = make_plan(
-            (beside,), ground.impact, alone, emphasis, None, lambda chips: jitter(secret, chips), times, whole=whole
+            (stage,), ground.impact, alone, emphasis, None, lambda chips: jitter(secret, chips), times, whole=whole
         ).layout
         return replace(plan, copies=replace(layer, directions=plan.layout.directions[:1]))
 

@@ -126,7 +126,7 @@ def choose(
     model: GaussianModel,
     key: OwnerKey,
     bits: int,
-    asked: Auto,
+    auto: Auto,
     original_sha256: str,
     cameras: Sequence[Camera] | None = None,
 ) -> Choice:
@@ -138,15 +138,15 @@ def choose(
     ----------
     key : OwnerKey
         Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
-    asked : Auto
+    auto : Auto
         The number of cells is not chosen: fewer save no time, more show no better.
     original_sha256 : str
         Hex digest of the owner's file.
     cameras : sequence of Camera, optional
         The owner's own.
     """
-    wanted, tried, allowed = wanted_z(bits), 0, asked.start.prune.budget_db
-    whole = replace(asked.start, prune=replace(asked.start.prune, budget_db=None))
+    wanted, tried, allowed = wanted_z(bits), 0, auto.start.prune.budget_db
+    whole = replace(auto.start, prune=replace(auto.start.prune, budget_db=None))
     for views in _CONFIG.views:
         tried += 1
         # A loss is measured where it is seen: on large views.
@@ -156,7 +156,7 @@ def choose(
         found = scene.at(config)
         if found.held_out_db >= config.psnr_db - _CONFIG.slack_db:
             break
-    if found.predicted_z < wanted and not asked.keep_psnr:
+    if found.predicted_z < wanted and not auto.keep_psnr:
         faithful = config
         for lower in _CONFIG.lower_db:
             config = _lowered(faithful, lower)
@@ -165,7 +165,7 @@ def choose(
                 break
     delivery, spent = replace(scene.delivery, settings=config), None
     if allowed is not None:
-        delivery, found, spent = _spend(ground, delivery, found, asked, allowed, wanted, cameras)
+        delivery, found, spent = _spend(ground, delivery, found, auto, allowed, wanted, cameras)
         tried += sum(way.predicted_z is not None for way in spent.ways)
     return Choice(found, wanted, tried, ground, delivery, spent)
 
@@ -174,7 +174,7 @@ def _spend(
     ground: Groundwork,
     kept: Delivery,
     found: Rehearsal,
-    asked: Auto,
+    auto: Auto,
     allowed_db: float,
     wanted: float,
     cameras: Sequence[Camera] | None,
@@ -184,8 +184,8 @@ def _spend(
     made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
     within = [one for one in made if (one.pruned.psnr_pruned_worst_view or 0.0) >= allowed_db]
     # The whole file: a palette (.sog) costs a part as much as all.
-    weighed = sorted(((len(encode_model(one.model, asked.format)), one) for one in within), key=lambda each: each[0])
-    whole, chosen = len(encode_model(kept.model, asked.format)), None
+    weighed = sorted(((len(encode_model(one.model, auto.format)), one) for one in within), key=lambda each: each[0])
+    whole, chosen = len(encode_model(kept.model, auto.format)), None
     tried: list[Way] = []
     for size, one in weighed:
         z, degree = None, one.model.sh_degree

@@ -1,9 +1,9 @@
 """One mark: bits and chips drawn from the key for a settled plan, put into the model, and looked at.
 
-1. The owner's layer, the same in all copies: where its own chips show more than the public ones did, the plan is made
+1. The owner's layer, which all copies share: where its own chips show more than the public ones did, the plan is made
    weaker, which draws others.
 2. The layer of one copy, on top. Where it shows too much it is drawn anew, never made weaker: a strength of a copy's
-   own would give its values away to whoever compares copies.
+   own would give its values away to anyone who compares copies.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _CONFIG = CONFIG.strength
 
 @dataclass(frozen=True, eq=False)
 class Committed:
-    """What the records of all copies commit to beside the plan."""
+    """What the records of all copies commit to in addition to the plan."""
 
     asset: bytes  # digest of the canonical reference
     message: Signs

@@ -171,7 +171,7 @@ def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) ->
     plan : Plan
         At unit strength.
     grained : Grained
-        The second layer, from `settle_grain`: the same for all copies.
+        The second layer, from `settle_grain`, which all copies share.
     """
     wanted, spent = _aim(config), grained.spent
     error = 10.0 ** (-wanted.psnr_db / 10.0) - 10.0 ** (-spent.psnr_db / 10.0)
@@ -180,8 +180,8 @@ def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) ->
     guess = first_guess(plan.energies, views.cameras, left.psnr_db)
     grain, own = grained.grain, NO_GRAIN
     if plan.copies is not None:
-        plan, beside = _with_copies(views, plan, displacement, config.plan.copy_tint, guess)
-        displacement = displacement + beside
+        plan, copied = _with_copies(views, plan, displacement, config.plan.copy_tint, guess)
+        displacement = displacement + copied
         grain, own = (grain.times(math.sqrt(part)) for part in (1.0 - config.plan.copy_grain, config.plan.copy_grain))
     strength = solve_strength(views, displacement, left.psnr_db, left.ssim, guess)
     return Settled(plan.times(strength.factor), grain, left, own)
@@ -207,7 +207,7 @@ def _aim(config: EmbedConfig) -> Fidelity:
 
 
 def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN, lattices: Lattices = FREE) -> Grained:
-    """The grain that was asked for, or as much of it as its part of the budget allows, and what that costs as measured.
+    """The wanted grain, or as much of it as its part of the budget allows, and what that costs as measured.
 
     There is none where neither centres nor sizes have room for it.
     """

@@ -82,18 +82,18 @@ class Groundwork:
 
     @property
     def picture_scale(self) -> Float64:
-        """(V, 1) by how much more a picture of REFERENCE_PIXELS shows than each key view does."""
+        """(V, 1) by how much more a picture of `reference_pixels` shows than each key view does."""
         pixels = WATERMARK.planning.reference_pixels
         return np.array([[pixels / (camera.width * camera.height)] for camera in self.cameras])
 
     def of(self, model: GaussianModel, clock: Clock) -> Groundwork:
-        """Of another model in the same place, seen from the same views."""
+        """Of another model in its place, seen from its views."""
         if model is self.model:
             return self
         return _seen(model, self.cameras, self.extent, self.config, self.variant, clock)
 
     def views_of(self, model: GaussianModel, clock: Clock) -> ViewSet:
-        """Another model from the same views, without its impact."""
+        """Another model from these views, without its impact."""
         if model is self.model:
             return self.views
         return look(model, self.cameras, clock.advance, self.variant.at_view)
@@ -152,7 +152,7 @@ def _seen(
 
 
 def _is_blank(image: Float32) -> bool:
-    """Whether all pixels (H, W, 3) show the same, colors outside 0..1 as a screen shows them."""
+    """Whether all pixels (H, W, 3) show one color, colors outside 0..1 as a screen shows them."""
     shown = np.clip(image, 0.0, 1.0).reshape(-1, 3)
     return bool((shown == shown[0]).all())
 

@@ -108,7 +108,7 @@ def refine(
     uncertainty : (N,) float64
         Laplace uncertainty of the DC colour; scales each Gaussian's step.
     advance : callable
-        Told the fraction done.
+        Called with the fraction done.
     seed : int
         Of views and distortions.
     codes : Codes, optional
@@ -161,7 +161,7 @@ def _of_gaussians(delta: Tensor, rows: list[Tensor]) -> Tensor:
     """(N, D) displacement of every Gaussian: the sum of its code vectors', or with no rows its own."""
     if not rows:
         return delta
-    # The gradient of delta[row] is summed in any order by several threads; that of this one always in the same.
+    # The gradient of delta[row] is summed in any order by several threads; that of this one always in one order.
     return torch.stack([delta.index_select(0, row) for row in rows]).sum(dim=0)
 
 

@@ -43,7 +43,7 @@ class Rehearsal:
     # Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise of
     # std 0.1, whichever is lower
     predicted_z: float
-    psnr_db: float  # of the mark, worst key view; above the one asked for where SSIM limits
+    psnr_db: float  # of the mark, worst key view; above the wanted one where SSIM limits
     held_out_db: float  # of the mark, worst of some views that are not key views
 
 
@@ -84,8 +84,8 @@ class Rehearsing:
         rest = 1.0 - CONFIG.strength.grain_ssim_share if grained else 1.0
         room_db = -10.0 * math.log10(rest)
         start = first_guess(energies, delivery.views.cameras, config.psnr_db + room_db)
-        asked = config.psnr_db + room_db, 1.0 - rest * (1.0 - config.ssim)
-        strength = solve_strength(delivery.views, self._displacement, *asked, start)
+        wanted = config.psnr_db + room_db, 1.0 - rest * (1.0 - config.ssim)
+        strength = solve_strength(delivery.views, self._displacement, *wanted, start)
         layout = self._plan.times(strength.factor).layout
         marked = add_dc(delivery.model.sh, np.float32(strength.factor) * self._displacement)
         pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]

@@ -59,26 +59,26 @@ class Copies:
     def evidence(self, opened: OpenedRecord) -> Evidence:
         """What the suspect says of the chips of one copy, along all routes so far.
 
-        Of Gaussians that is all that reading this copy alone would say; pictures tell nothing of what to expect, and
+        Of Gaussians that is all that reading this copy alone would say; pictures say nothing of what to expect, and
         the grain counts in them as it does for the copy that they were read as.
         """
         reading = self.reading
         pictures = gather_again(opened.layout, reading.evidence.pulled)
-        if reading.pictures is not None:  # copies have other cells, and the same Gaussians
+        if reading.pictures is not None:  # copies have other cells, and their Gaussians in common
             pictures = pictures.then(reading.pictures.behind(self._tint))
         if reading.route in ("image", "render"):
             return pictures
         assert self._suspect.model is not None
         assert reading.registration is not None
-        asked = self._suspect.model, opened, reading.registration
+        read = self._suspect.model, opened, reading.registration
         width = opened.layout.width
         if width not in self._compared:
-            self._compared = {width: compare_tint(*asked)}
-        model = read_tint(*asked, self._compared[width])
+            self._compared = {width: compare_tint(*read)}
+        model = read_tint(*read, self._compared[width])
         if opened.grain.there:
             if opened.grain not in self._grain:
                 if len(self._grain) == MOST_GRAINS:
                     self._grain.clear()
-                self._grain[opened.grain] = read_grain(*asked)
+                self._grain[opened.grain] = read_grain(*read)
             model = model.then(self._grain[opened.grain])
         return model.plus(pictures) if reading.route == "both" else model

@@ -92,7 +92,7 @@ def place_by_looking(
     landmarks : Landmarks
         Of the reference, from its record.
     advance : callable, optional
-        Told the fraction done, 0 to 1, after every view.
+        Called with the fraction done, 0 to 1, after every view.
     budget : TimeBudget, optional
         Ends the search between two views.
     """

@@ -288,7 +288,7 @@ def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, regist
 
 
 def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
-    """What renders of a suspect model say, beside its Gaussians: views recognised by themselves, or nothing."""
+    """What renders of a suspect model say, in addition to its Gaussians: views recognised by themselves, or nothing."""
     if of_model.derived or not recognised:
         return of_model
     return Derivation(True, of_model.share or None, of_model.gaussians)
@@ -297,7 +297,7 @@ def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
 def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation:
     """What pictures say of which so many show the asset; `found`: their cameras were found, by recognising it.
 
-    Where somebody gave the cameras, a picture of anything that is bright in the same places can be laid over a view.
+    Where the cameras were given, a picture of anything that is bright in the same places can be laid over a view.
     """
     return Derivation(shown > 0, views=(shown, pictures)) if found else NOT_FOUND
 
@@ -346,8 +346,8 @@ def read_tint(
 
 
 def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Residual:
-    """How far the suspect's colours lie from the reference's: the same for copies with carriers of the same width."""
-    seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC is the same from everywhere
+    """How far the suspect's colours lie from the reference's: copies with carriers of one width share it."""
+    seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC does not depend on the direction
     reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
     width = min(opened.layout.width, colors.shape[1])
     mixtures = registration.mixtures
@@ -371,7 +371,7 @@ def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
 
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """What the suspect's centres and sizes say: the same for all copies of an asset."""
+    """What the suspect's centres and sizes say, for all copies of an asset."""
     seen = mirror_model(suspect) if registration.mirrored else suspect
     pairs = registration.matches, registration.match_quality * duplicate_weights(suspect, registration.matches)
     return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)

@@ -1,6 +1,6 @@
 """Models that would take the rasterizer hours are refused before it begins.
 
-What drawing costs is told by the pairs of tile and Gaussian: a hundred thousand Gaussians that each cover the whole
+The cost of drawing follows from the pairs of tile and Gaussian: a hundred thousand Gaussians that each cover the whole
 picture are 250 million pairs in a view of 800 x 800, where captured scenes of half a million have one.
 """
 
