@@ -105,8 +105,7 @@ class DeformationConfig:
     sample: int = 24_000  # suspect Gaussians from which the field is grown
     nodes: int = 1_000  # of the field: about 24 of the sample each
     node_pairs: int = 32  # matches from which a node's map is fitted
-    # Of growth: a front goes about one node further a round; 1,000 nodes on a surface are 32 across
-    rounds: int = 40
+    rounds: int = 40  # of growth: a front goes about one node further a round; 1,000 nodes on a surface are 32 across
     measured: int = 4_000  # matches from which the remaining errors are measured
     bend: float = 0.1  # error of a map one node further on, in distances between nodes
     explained: float = 0.2  # share of a node's surroundings that must be matched for it to hand its map on

@@ -74,8 +74,7 @@ class GrainConfig:
     thinnest: float = 1e-5  # of the middle scale; below it a Gaussian is a disc, whose thickness no file keeps
     # Cosine between an axis and its partner's from which the axes show which scale is which; below, their order does
     sure: float = 0.8
-    # Deviations beyond which a difference is no displacement but a wrong match, and says nothing
-    lost: float = 4.0
+    lost: float = 4.0  # deviations beyond which a difference is no displacement but a wrong match, and says nothing
 
 
 @dataclass(frozen=True)
@@ -93,8 +92,7 @@ class EvidenceConfig:
     # members); linear weights would let the few largest drown the rest
     saturation: float = 2.0
     passes: int = 2  # of residual compensation over the stages (Eq 11); the second changes z by under a per cent
-    # Members that the whole scene's spread is worth: a few members say little about their own
-    blend: float = 4.0
+    blend: float = 4.0  # members that the whole scene's spread is worth: a few members say little about their own
     least_pictures: int = 3  # that are compared: of two that disagree, either may be the wrong one
     # Standard deviations of chance by which a picture must be expected to agree with the others before it is judged
     expected_agreement: float = 6.0

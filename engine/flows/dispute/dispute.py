@@ -1,7 +1,7 @@
 """The dispute: two parties say that one model is theirs. Whose mark is in the other's original?
 
-A mark that a thief adds to a stolen model is a true one, so both claims can hold. But the thief's original was made from the
-owner's marked model, and the owner's original from nothing of the thief's:
+A mark that a thief adds to a stolen model is a true one, so both claims can hold. But the thief's original was made
+from the owner's marked model, and the owner's original from nothing of the thief's:
 
 1. Both marks are looked for in both originals (the sealed references), and in both published models.
 2. The one whose mark is in the other's original came first. Both, or neither: said so.

@@ -29,8 +29,8 @@ def warm_up(
 ) -> None:
     """Make the kernels of some work ready; `progress` is called with the fraction done, 0 to 1, by the time that
     compiling takes, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are
-    cores by default, at most compile side by side; only this one where nothing can be kept. As long as kernels are only loaded,
-    it ends as soon as that is `enough`."""
+    cores by default, at most compile side by side; only this one where nothing can be kept. As long as kernels are only
+    loaded, it ends as soon as that is `enough`."""
     steps = steps_of(work)
     plan = _Plan(steps, progress or (lambda fraction: None))
     begun = False

@@ -95,8 +95,7 @@ class BackgroundConfig:
     """What lies behind the model (`background`)."""
 
     clear: float = 0.02  # opacity of the reference below which a pixel shows what lies behind
-    # Pixels around anything more opaque that are not trusted: the camera may be off, and viewers blur
-    margin: int = 3
+    margin: int = 3  # pixels around anything more opaque that are not trusted: the camera may be off, and viewers blur
     finest: int = 4  # cell of the finest level, pixels: noise of single pixels is not what lies behind
     around: int = 16  # cell of the surroundings that show whether the background can be guessed at all, pixels
     least_share: float = 0.003  # of clear pixels, below which nothing is known of what lies behind
