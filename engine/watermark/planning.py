@@ -76,7 +76,7 @@ def make_plan(
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
-    Scaled to a median amplitude of MARK_SCALE; `layer_strengths` finds the strength.
+    Scaled to a median amplitude of `mark_scale`; `layer_strengths` finds the strength.
 
     Parameters
     ----------

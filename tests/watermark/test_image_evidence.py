@@ -78,7 +78,7 @@ def test_what_a_blur_moved_is_pulled_back_to_where_it_came_from(ball: Ball) -> N
 
 
 def test_a_patch_painted_over_saturates(ball: Ball) -> None:
-    """It may not outweigh the rest: no chip counts for more than CLIP medians of its carrier."""
+    """It may not outweigh the rest: no chip counts for more than `clip` medians of its carrier."""
     painted = marked_picture(ball, 0).copy()
     painted[50:80, 50:80] = [1.0, 0.0, 1.0]
     found = read(ball, painted)

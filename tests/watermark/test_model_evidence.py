@@ -162,7 +162,7 @@ def test_what_members_share_is_noise_though_they_agree() -> None:
 
 
 def test_no_chip_outweighs_the_others() -> None:
-    """A second mark, ten times as strong, on a few code vectors: each saturates at SATURATION medians."""
+    """A second mark, ten times as strong, on a few code vectors: each saturates at `saturation` medians."""
     layout, reference, suspect, _ = marked()
     louder = suspect + np.where(layout.labels[0] < 20, 0.1, 0.0)[:, None].astype(np.float32)
     evidence = gather_model_evidence(layout, reference, louder, identity(len(reference)))

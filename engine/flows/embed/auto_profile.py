@@ -116,7 +116,7 @@ class ChoiceReport:
 def wanted_z(bits: int) -> float:
     """z that a picture must be predicted to give: a claim at 1e-9 and every bit clear, with a `margin`.
 
-    A bit's z is the message's over the root of its length; BIT_Z of them is what the planner accepts.
+    A bit's z is the message's over the root of its length; `bit_z` of them is what the planner accepts.
     """
     return _CONFIG.margin * max(z_threshold(CHANCE_RATE), (WATERMARK.planning.bit_z + 0.2) * math.sqrt(bits))
 

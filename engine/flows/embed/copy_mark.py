@@ -109,7 +109,7 @@ def make_owner_mark(
     wanted : Fidelity
         Of the worst view, with a copy layer of public values where there is one.
     pixels : (V, 1) float64
-        By how much more a picture of REFERENCE_PIXELS shows than each view does.
+        By how much more a picture of `reference_pixels` shows than each view does.
     """
     bits, model = len(committed.message), views.model
     for left in reversed(range(_CONFIG.draws)):
