@@ -137,7 +137,7 @@ def test_nothing_is_said_of_few_chips() -> None:
     few = np.zeros(LAYOUT.chips)
     few[: int(CONFIG.regions.least_chips) - 5] = 1.0
     found = judged(evidence(0.0, weights=few))
-    assert found.asked == 0
+    assert found.tested == 0
     assert set(found.state) <= {State.UNCLEAR, State.UNSEEN}
     assert not found.z.any()
 

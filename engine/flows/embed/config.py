@@ -1,4 +1,4 @@
-"""Tuned constants of an embedding, a frozen config for each stage (DESIGN 4.6); what users set is in `profiles`.
+"""Tuned constants of an embedding, a frozen config for each stage (DESIGN 4.2 to 4.6); what users set is in `profiles`.
 
 Fidelities are PSNR in dB or SSIM of the marked against the unmarked render, in the worst key view.
 """

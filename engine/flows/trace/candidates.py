@@ -17,6 +17,7 @@ from typing import Generic, Protocol, TypeVar
 from engine.errors import RecordError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.config import CONFIG
 from engine.flows.trace.copies import Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Answer, Suspect, Verification, count_tries, verify
@@ -24,9 +25,6 @@ from engine.numerics.blas import one_blas_thread
 from engine.watermark.claim import Claim, Verdict
 
 __all__ = ["Candidate", "Outcome", "Search", "search"]
-
-STANDS_OUT = 2.5
-"""Z of a copy, read as another one, that is verified by itself; of copies that took no part one in 160 is."""
 
 
 class Candidate(Protocol):
@@ -139,7 +137,7 @@ class _Tests:
     def about(self, copies: Sequence[C]) -> list[Outcome[C]]:
         """One outcome for each copy of an asset; with `stop_at_first` none behind the first whose mark is there."""
         outcomes = self._together(copies) if len(copies) > 1 else [self._alone(copies[0])]
-        loud = [number for number, each in enumerate(outcomes) if not each.whole and each.z >= STANDS_OUT]
+        loud = [number for number, each in enumerate(outcomes) if not each.whole and each.z >= CONFIG.stands_out]
         for number in sorted(loud, key=lambda number: -outcomes[number].z):
             outcomes[number] = self._alone(copies[number])
             if self._stop_at_first and outcomes[number].named:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.config import CONFIG
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Reading, Suspect, readings, time_budget
 from engine.flows.verify.suspect_evidence import compare_tint, read_grain, read_tint
@@ -19,9 +20,6 @@ from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual
 
 __all__ = ["Copies", "asset_of"]
-
-MOST_GRAINS = 4
-"""Readings of the grain that are kept: copies have it in one of a few strengths, and each takes 24 bytes a chip."""
 
 
 def asset_of(opened: OpenedRecord) -> tuple[str, bool, bytes]:
@@ -77,7 +75,7 @@ class Copies:
         model = read_tint(*read, self._compared[width])
         if opened.grain.there:
             if opened.grain not in self._grain:
-                if len(self._grain) == MOST_GRAINS:
+                if len(self._grain) == CONFIG.most_grains:
                     self._grain.clear()
                 self._grain[opened.grain] = read_grain(*read)
             model = model.then(self._grain[opened.grain])

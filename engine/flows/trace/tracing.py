@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.config import CONFIG
 from engine.flows.trace.copies import Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig, read_copy, strength_left
 from engine.flows.verify.search import Suspect, count_tries
@@ -24,8 +25,6 @@ from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
 
-DAMPED = 0.75
-"""Share of the owner's layer's strength below which a copy's own was damped by others."""
 SIGNS = 2
 """A copy's mark may show turned round."""
 
@@ -178,7 +177,7 @@ def _combined(asset: Copies, opened: OpenedRecord, findings: Sequence[CopyFindin
         evidence = asset.reading.evidence
         spreading = opened.spreading_of(len(evidence.y))
         owner = strength_left(evidence.sized(spreading.sizes), spreading.signs(opened.message))
-        if owner > 0 and named[0].strength < DAMPED * owner:
+        if owner > 0 and named[0].strength < CONFIG.damped * owner:
             yield "at least two copies were combined: what tells this copy from others is damped"
 
 

@@ -1,4 +1,4 @@
-"""Tuned constants of generated views, a frozen config for each stage (DESIGN 4.4)."""
+"""Tuned constants of generated views, a frozen config for each stage (DESIGN 4.1)."""
 
 from dataclasses import dataclass, field
 
