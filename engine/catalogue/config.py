@@ -19,8 +19,7 @@ class CatalogueConfig:
     # them, so that near copies of an asset cannot hide it
     compared: int = 32
     most_compared: int = 256
-    # Agreeing votes from which a picture shows an asset. Among 1,000 assets others had up to 0.83 in 360 pictures
-    shown: float = 2.0
+    shown: float = 2.0  # agreeing votes from which a picture shows an asset: others of 1,000 had 0.83 in 360 pictures
     points: int = 2880  # of an asset at most, as many of each view: 132 bytes a point make 380 kB
     same_place: float = 4.0  # distance of landmarks of two views that are one, pixels at the usual distance
     # Distance of their descriptors (length 512) at most: those of two places are 380 to 450 in the median

@@ -28,8 +28,7 @@ class LooksConfig:
     """Features of single Gaussians and the tree of them (`match_candidates`, `matching`)."""
 
     logit_clip: float = 5.0  # opacity logit beyond which 8-bit opacities (steps of 1/255) no longer differ
-    # Log ratio of sizes beyond which a disc is a disc: a third axis of a thousandth is noise
-    flatness_clip: float = 7.0
+    flatness_clip: float = 7.0  # log ratio of sizes beyond which a disc is one: a third axis of a thousandth is noise
     tree_points: int = 150_000  # reference Gaussians in the feature tree at most, the rarest ones
 
 
@@ -95,8 +94,7 @@ class DeformationConfig:
     glance: int = 4_000  # suspect Gaussians that decide whether a deformation is sought
     neighbors: int = 16  # of those, that show what is explained nearby
     region: float = 0.05  # share of the suspect in unexplained regions from which a search is worth its time
-    # Share of the similarity's squared errors that neighbors must have in common: noise has a sixteenth
-    smooth: float = 0.5
+    smooth: float = 0.5  # share of the similarity's squared errors that neighbors must share: noise has a sixteenth
     cycles: int = 3  # of patches and growth: parts that do not hang together are found one after the other
     patches: int = 8  # tried in a cycle
     # Ratio of pairs of mirrored patches to those of others that makes the suspect a mirror image; flat ones may be both
@@ -109,8 +107,7 @@ class DeformationConfig:
     measured: int = 4_000  # matches from which the remaining errors are measured
     bend: float = 0.1  # error of a map one node further on, in distances between nodes
     explained: float = 0.2  # share of a node's surroundings that must be matched for it to hand its map on
-    # Weight of the prior of a map, in mean squares of the source: it decides across flat pieces alone
-    ridge: float = 0.02
+    ridge: float = 0.02  # weight of the prior of a map, in mean squares of the source: decides across flat pieces only
     reweightings: int = 4  # of the robust fit of a map
 
 
@@ -122,8 +119,7 @@ class PatchConfig:
     look_alikes: int = 3  # reference Gaussians considered for each suspect Gaussian
     crowds: int = 6  # of pairs, examined in a patch
     draws: int = 400  # affine maps per crowd
-    # Error of a pair that a map explains, in radii of its crowd: a 90 degree bend curves a patch by half that
-    tolerance: float = 0.05
+    tolerance: float = 0.05  # error of a pair that a map explains, radii of its crowd: a 90 degree bend takes half
     most_skewed: float = 8.0  # largest ratio of the stretches of a believable map along its axes
     least_pairs: int = 16  # that must agree beyond the four that made the map
     least_share: float = 0.15  # of a patch, that its map must explain in the end
@@ -202,8 +198,7 @@ class SketchConfig:
     # every attribute's spread, at least 15
     alike: int = 6
     points: int = 2048  # Gaussians in a sketch: 60 kB
-    # Gaussians of a suspect that are looked up in an index: what was put into a foreign scene shares its regions
-    suspect_points: int = 8192
+    suspect_points: int = 8192  # Gaussians of a suspect that are looked up: pasted parts share the regions of a scene
     pool: int = 100_000  # at most twice as many Gaussians are weighed for a sketch: a matter of time alone
     regions: int = 8  # along each axis: a small piece of the model holds its share of the sketch
     places: int = 256  # described in a sketch: 14 kB
@@ -228,8 +223,7 @@ class VisibilityConfig:
     # it up to 0.2 % off
     rounded: float = 0.99
     hardly: float = 2.0  # of `ALPHA_SKIP`: opacity below which rounding or slight noise may hide a Gaussian
-    # Largest scale, scene units, below which a Gaussian has no size: a scale of zero is read as 1e-13
-    smallest: float = 1e-10
+    smallest: float = 1e-10  # largest scale, scene units, below which a Gaussian has no size: zero is read as 1e-13
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ class CellsConfig:
     # Public cells nearest to a Gaussian's own, itself among them, to one of which it is dealt where borders are blurred
     blur: int = 8
     neighbors: int = 24  # code vectors from which a color is guessed, by a plane fitted to them
-    # Code vectors, itself among them, over which the misses are averaged: one may have been guessed by luck
-    around: int = 9
+    around: int = 9  # code vectors, itself among them, over which misses are averaged: one may be guessed by luck
     ridge: float = 1e-3  # keeps planes through neighbors on a line from tilting without end
 
 
@@ -38,14 +37,12 @@ class PlanningConfig:
     most_still: float = 2.0 / 3.0
     # Noise of each color channel (standard deviation, range 1) for which z is predicted: one picture, badly compressed
     reference_noise: float = 0.05
-    # Pixels of that picture: what a suspect shows has nothing to do with how large the key views were
-    reference_pixels: int = 800 * 800
+    reference_pixels: int = 800 * 800  # pixels of that picture: suspects do not depend on the size of the key views
     # Least predicted z of a bit that the planner accepts: about one wrong bit in a hundred on that one bad picture;
     # several pictures, a better one, or the model itself read all of them
     bit_z: float = 2.3
     chips_per_bit: int = 16  # fewest: losing most of the model still leaves each bit some
-    # Fewest of the grain, which is lost Gaussian by Gaussian: a tenth of the model still reads nearly every bit
-    grain_chips_per_bit: int = 64
+    grain_chips_per_bit: int = 64  # fewest of the grain, lost by Gaussians: a tenth of the model reads nearly all bits
     # Range of how badly a color is guessed, relative to the usual, within which amplitudes follow it
     surprise: tuple[float, float] = (0.2, 4.0)
 
@@ -119,8 +116,7 @@ class PowerConfig:
 class RegionsConfig:
     """Regions of the asset (`region_tree`, `regions`)."""
 
-    # Code vectors of the smallest region: 36 chips of the tint. 4,096 of them give 256 regions, of 16 each
-    codes: int = 12
+    codes: int = 12  # code vectors of the smallest region, 36 chips of the tint: 4,096 of them give 256 regions of 16
     # Chips, counted by their shares of the evidence, below which nothing is said of a region: what is shown of few
     # would give their secret signs away
     least_chips: float = 30.0

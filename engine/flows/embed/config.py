@@ -19,8 +19,7 @@ class AutoConfig:
     # What may be taken off the PSNR where evidence is short, dB; the last gives the fidelity of `strong`
     lower_db: tuple[float, ...] = (1.0, 2.0)
     ssim_per_db: float = 0.0005  # and off SSIM with it, as in `strong`
-    # Share of what the whole model promises, where that is less than wanted, that a smaller file must keep
-    kept_share: float = 0.9
+    kept_share: float = 0.9  # share of what the whole model promises, if too little, that a smaller file must keep
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,8 @@ class StrengthConfig:
     """Strengths of tint, grain and copy layer (`layer_strengths`, `copy_mark`)."""
 
     draws: int = 4  # plans tried: weaker ones where the owner's own chips show more than the public ones did
-    # Draws of a copy's layer, of which the first that shows no more than wanted is taken, else the least visible
-    copy_draws: int = 6
-    # By how much the owner's layer stays above the wanted PSNR where copies' draws come on top of it, dB
-    copy_margin_db: float = 0.1
+    copy_draws: int = 6  # of a copy's layer: the first that shows no more than wanted is taken, else the least visible
+    copy_margin_db: float = 0.1  # by which the owner's layer stays above the wanted PSNR where copies' draws follow, dB
     margin_db: float = 0.05  # above the target, for chips that meet less luckily than the public ones, dB
     rounds: int = 10  # renders of all views, at most
     # Rounds after which the interval is halved. SSIM falls faster than with the factor's square where splats reach over

@@ -15,8 +15,7 @@ class AppearanceConfig:
     enough: int = 6  # sightings that agree with each other after which no further view is rendered,
     fair: int = 3  # or no further side turned up
     least: int = 2  # sightings that must agree for the place to be known
-    # Difference of the found and the true focal length, as a logarithm, beyond which a sighting is wrong
-    most_zoomed: float = 0.1
+    most_zoomed: float = 0.1  # log ratio of found and true focal length beyond which a sighting is wrong
     same_turn: float = math.radians(3.0)  # between sightings of one place, radians
     same_place: float = 0.05  # between them, in the distance to what they show
 
@@ -25,8 +24,7 @@ class AppearanceConfig:
 class EvidenceConfig:
     """What a suspect says (`suspect_evidence`)."""
 
-    # Times that a camera is carried to a picture: the first render there shows what alignment over the other missed
-    carried: int = 2
+    carried: int = 2  # times that a camera is carried to a picture: the first shows what alignment elsewhere missed
     # Blurs that turning or shrinking a picture may have left in it, pixels: bilinear turns come to 0.45
     soft: tuple[float, ...] = (0.35, 0.45, 0.55)
     derived_least: float = 0.02  # share of the reference to be found before a suspect is called derived from it
@@ -34,8 +32,7 @@ class EvidenceConfig:
     # Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
     # enough, and soon
     render_size: int = 512
-    # Share of the heaviest mass from which a duplicate counts in full: noise and halves of one differ so much
-    like_mass: float = 0.5
+    like_mass: float = 0.5  # share of the heaviest mass from which a duplicate counts in full: halves differ so much
     refinements: int = 12  # renders at most to refine a view's camera, as `find_camera` does
     refined: float = 0.005  # step that ends it, pixels
     edge_views: int = 64  # in which a picture without keypoints is sought

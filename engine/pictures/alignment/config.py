@@ -18,8 +18,7 @@ class PlanarConfig:
     least_matches: int = 8  # inliers that a hypothesis of keypoints needs
     least_correlation: float = 0.4  # of the brightness of both images, below which there is no alignment
     sure_correlation: float = 0.98  # above which no further hypothesis is tried
-    # Correlation below which a picture may be a mirror image: rivals that look alike came to 0.92
-    well_correlation: float = 0.95
+    well_correlation: float = 0.95  # correlation below which it may be mirrored: rivals that look alike came to 0.92
     perspective_gain: float = 0.97  # a homography must lower the residual to this share of the similarity's
     snap_pixels: float = 0.06  # a smaller motion is none: the picture is used without resampling, pixels
     # So is one up to this, pixels, that does not lower the residual to `perspective_gain`: coarse JPEG makes such up
@@ -123,12 +122,10 @@ class ToneConfig:
     """Tone curves (`tone_curve`)."""
 
     samples: int = 60_000  # pixels from which they are fitted
-    # Softness of clipping where a picture has no noise: rounding to 8 bits and what a fit leaves
-    least_noise: float = 0.006
+    least_noise: float = 0.006  # softness of clipping without noise: rounding to 8 bits and what a fit leaves
     clipped: float = 0.985  # brighter pixels, and darker ones than one less this, may be clipped
     table: int = 1024  # entries of a tabulated curve
-    # Where a tone curve bends a twentieth of the affine colors by more than this, both are fitted together
-    bent: float = 0.004
+    bent: float = 0.004  # where a curve bends a twentieth of the affine colors by more, both are fitted together
     better: float = 0.8  # a curve fitted together with the mixture must miss by this share of what the plain one does
     bent_knots: int = 65  # of such a curve
     bent_rounds: int = 3  # of its fit
@@ -159,8 +156,7 @@ class ResidualConfig:
 
     samples: int = 100_000  # pixels from which weights are estimated
     levels: int = 5  # of the Haar transform; blocks of 2^5 pixels are the coarsest details
-    # Pixels with a channel of which less than this share of a change survives clipping are left out
-    least_slope: float = 0.3
+    least_slope: float = 0.3  # share of a change that must survive clipping in every channel, or a pixel is left out
     least_pixels: int = 64  # fewer do not carry the fits
     noise_floor: float = 0.0005  # standard deviation added to every band: half of what rounding to 8 bits leaves
     clip: float = 3.0  # to which coefficients are clipped, standard deviations of their band
@@ -170,8 +166,7 @@ class ResidualConfig:
     # Range of details of the reference that are as faint as a mark's: strong ones survive where these do not
     faint: tuple[float, float] = (0.5 / 255, 2.5 / 255)
     least_details: int = 50  # fewer of them do not show how much survives
-    # Standard errors by which less must survive than everything: noise leaves few details that show it
-    doubts: float = 1.0
+    doubts: float = 1.0  # standard errors by which less than everything must survive: noise leaves few details
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ class LandmarksConfig:
     noise_to_blur: float = 20.0
     largest_blur: float = 2.0  # of it, pixels
     chunk: int = 256  # keypoints matched at a time: 256 rows of 20,000 distances are 20 MB
-    # Largest distance of the descriptors (length 512) of a landmark and of what lies where it projects
-    most_unlike: float = 0.55 * 512.0
+    most_unlike: float = 0.55 * 512.0  # largest distance of descriptors (length 512) of a landmark and what lies there
     per_view: int = 450  # landmarks of one view at most: 48 views of 144 bytes each make 3.1 MB
     detected: int = 1350  # keypoints detected in a view: more than needed, since edges of depth and haze are left out
     least_alpha: float = 0.7  # opacity from which a pixel shows a surface, and its depth is that surface's
