@@ -1,4 +1,4 @@
-"""`mark3dgs attest`: somebody else's word on when a record existed, put into its file."""
+"""`mark3dgs attest`: a third party's statement on when a record existed, put into its file."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Console:
             sys.stdout.flush()
 
     def note(self, text: str) -> None:
-        """A line beside the result, on stderr."""
+        """A line on stderr, no part of the result."""
         if not self.machine:
             sys.stderr.write(text + "\n")
             sys.stderr.flush()

@@ -117,8 +117,8 @@ def embed(
       mark3dgs embed scene.ply initech.ply --key owner.key --copy initech \
         --record initech.record --earlier acme.record
 
-    With --tsa a part of the watermark follows from a time stamp, so that nobody
-    can try records out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
+    With --tsa a part of the watermark follows from a time stamp, so that records
+    cannot be tried out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
     where verify gets that service's certificate (--tsa-certificates). Only a
     digest is sent. Each run draws another watermark: mark further copies with
     --earlier, or two watermarks give each other away.
@@ -198,7 +198,7 @@ class CopyReport(Report):
     seconds_by_stage: dict[str, float]
 
     def to_json(self) -> Json:
-        """Plain values, those of the mark beside the rest."""
+        """Plain values; the mark's fields stand at the top level."""
         found = super().to_json()
         del found["mark"]
         return self.mark.to_json() | found

@@ -1,4 +1,4 @@
-"""Whose word counts: certificates and public keys that the user trusts, read from files."""
+"""Certificates and public keys that the user trusts, read from files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Jwks = Annotated[
 
 
 def read_trust(certificates: Path | None, jwks: Path | None, listed: Path | None = None) -> Trust:
-    """What the options name; nobody is trusted otherwise."""
+    """What the options name; nothing else is trusted."""
     from engine.records.attestation import Trust
 
     trusted, qualified = (read_certificates(each) if each is not None else [] for each in (certificates, listed))

@@ -134,7 +134,7 @@ def verify(
     from engine.watermark.messages import message_hex
     from engine.watermark.regions import RegionConfig
 
-    located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses a rate that is none, asked for or not
+    located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses an invalid rate even without --regions
     kept = _Record.of(record, key, attestation or (), read_trust(tsa_certificates, jwks))
     config = VerifyConfig(
         false_claim_rate=false_claim_rate,

@@ -87,7 +87,7 @@ def read_signer(certificates: Path, key: Path) -> Signer:
 
 
 def make_trial_signer(name: str, days: int) -> tuple[Signer, bytes]:
-    """A signer whom nobody knows, and the certificate (PEM) of the authority that issued its own.
+    """A self-made signer, and the certificate (PEM) of the authority that issued the signer's.
 
     Who trusts that authority finds the signer trusted. Its key is thrown away: it issues nothing else.
     """

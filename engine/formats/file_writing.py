@@ -42,7 +42,7 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
     if format in _SAY_NOTHING and format != "spz" and mode_of(model) == ANTIALIASED:
         notes.append(
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
-            " far too heavily unless told; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
+            " far too heavily unless set to it; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
     strays = np.flatnonzero(unheld_rows(model, format))
     if len(strays):

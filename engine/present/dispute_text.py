@@ -42,7 +42,7 @@ DEEDS = {
     ),
     "equal originals": (
         "The two originals are equal to rounding: one party got it from the other, or computed it from several marked"
-        " copies. That decides nothing by itself; the dates stand beside it."
+        " copies. That decides nothing by itself; see the dates."
     ),
     "same original": "Both records hold the same original: one party got it from the other.",
 }

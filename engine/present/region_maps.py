@@ -28,7 +28,7 @@ COLORS = {
     State.UNCLEAR: (0.66, 0.66, 0.66),
     State.UNSEEN: (0.93, 0.93, 0.93),
 }
-"""Orange and blue: told apart with any colour vision, and in black and white by how dark they are."""
+"""Orange and blue: distinct with any color vision, and in black and white by how dark they are."""
 SAYS = {
     State.MARKED: "the mark is here",
     State.ALTERED: "this part is there, its mark is not: altered, or taken from the original",

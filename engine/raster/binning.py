@@ -1,7 +1,7 @@
 """Pass 3: per tile, the list of Gaussians that touch it, front to back.
 
 A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: those that pass 1
-has told by bits where it is small, else per row of tiles the ellipse's span in x. One walk over the depth order notes
+has stored as bits where it is small, else per row of tiles the ellipse's span in x. One walk over the depth order notes
 the pairs and counts them per tile, a second pass puts them in place. Both split the order into contiguous shares, so
 lists come out in depth order whatever the number of shares. A tile mask leaves tiles out altogether.
 """

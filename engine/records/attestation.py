@@ -1,4 +1,4 @@
-"""Attestations: somebody else's word on when a record existed, kept in its file beside the seal.
+"""Attestations: third parties' statements that a record existed at a time, kept in its file after the seal.
 
 They come after the record is sealed, so the seal does not cover them; each is bound to the record by the SHA-256 of its
 public bytes (prefix and header), which name reference, plan, owner and original. Appended to the record, little-endian:

@@ -1,8 +1,8 @@
 """The public part of a record, and what binds the chips to the asset.
 
 Chips follow from `chip_context`: the digest of the reference and the record id, and the id is a keyed hash of
-the plan (code vectors, carriers, amplitudes, message, copy). Opening a record recomputes both. Whoever makes
-up a reference, or fits a plan to given chips, gets other chips.
+the plan (code vectors, carriers, amplitudes, message, copy). Opening a record recomputes both. An invented
+reference, or a plan fitted to given chips, gives other chips.
 """
 
 from collections.abc import Mapping

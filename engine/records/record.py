@@ -106,7 +106,7 @@ class Record:
             raise MalformedRecordError("the record's body is malformed")
         if not (isinstance(meta["plan"], dict) and isinstance(meta["extra"], dict)):
             raise MalformedRecordError("the record's plan is malformed")
-        # Early records could hold arrays beside the plan ("extra/"), which nothing has ever read: they are let go.
+        # Early records could hold further arrays ("extra/"), which nothing has ever read: they are dropped.
         groups: dict[str, dict[str, npt.NDArray[Any]]] = {"plan": {}, "reference": {}, "extra": {}}
         for name, array in arrays.items():
             group, _, rest = name.partition("/")

@@ -1,4 +1,4 @@
-"""Time stamps (RFC 3161): somebody else's word that bytes, such as a record's header, existed at a time."""
+"""Time stamps (RFC 3161): a third party's proof that bytes, such as a record's header, existed at a time."""
 
 import hashlib
 import time
@@ -169,7 +169,7 @@ def _ask(url: str, query: bytes) -> bytes:
 
 
 def authority_of(token: bytes) -> str:
-    """Name of whoever gave a stamp, as its certificate has it."""
+    """Name of the authority that issued a stamp, as its certificate has it."""
     certificate = _signer(token)
     return (
         "a time-stamping service without a certificate" if certificate is None else certificate.subject.rfc4514_string()

@@ -109,7 +109,7 @@ def embed_moving(
 ) -> tuple[M, Embedding]:
     """Mark a dynamic scene, whose unmarked original the owner keeps for verification.
 
-    `original_sha256` is the digest of the owner's file, by default that of the arrays. The landmark bank is left out: a
+    `original_sha256` is the digest of the owner's file, by default of the arrays. The landmark bank is left out: a
     canonical model is nothing a picture shows, `move_record` makes one. Errors are those of
     `engine.flows.embed.embedding.embed`; InputError for profile `auto`. Returns the marked
     scene, of the same kind, and an embedding whose model is the marked canonical one and whose record commits to the
@@ -223,7 +223,7 @@ def verify_moving_images(
 ) -> tuple[Verification, float]:
     """Do these pictures (h, w, 3), all of one moment, show the marked scene?
 
-    `times` are the moments it may be; each is a place where all is asked, and all are counted. Unknown cameras are
+    `times` are the moments it may be; every hypothesis is tested at each, and all are counted. Unknown cameras are
     found by a bank of `BANK_VIEWS`. Returns the best verification and its moment.
     """
     if not times:

@@ -79,7 +79,7 @@ class MarkReport(Report):
     seconds_by_stage: dict[str, float] = field(default_factory=dict)
 
     def to_json(self) -> Json:
-        """Plain values, the embedding's beside the rest."""
+        """Plain values; the embedding's fields stand at the top level."""
         found = super().to_json()
         del found["embedding"]
         return self.embedding.to_json() | found

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["VerifyAnswer", "VerifyReport", "VerifyRequest", "printed", "verify"]
 
 MOMENTS = 9
-"""Moments of a clip that pictures are compared with; each is a try."""
+"""Moments of a clip that pictures are compared with; each is a hypothesis."""
 
 C = TypeVar("C", bound="Candidate")
 
@@ -80,7 +80,7 @@ class VerifyReport(Report):
         )
 
     def to_json(self) -> Json:
-        """Plain values, those of the claim beside the rest."""
+        """Plain values; the claim's fields stand at the top level."""
         found = super().to_json()
         del found["claim"]
         return self.claim.to_json() | found
@@ -101,7 +101,7 @@ class VerifyAnswer(Generic[C]):
 
     read: ReadSuspect
     search: Search[C]
-    regions: RegionReport | None  # of the best candidate, where that was asked for and its record could be opened
+    regions: RegionReport | None  # of the best candidate, where requested and its record could be opened
     seconds_by_stage: dict[str, float]
 
     @property
@@ -113,9 +113,9 @@ class VerifyAnswer(Generic[C]):
 def verify(
     request: VerifyRequest[C], progress: Progress, prepare: Callable[[ReadSuspect], None] | None = None
 ) -> VerifyAnswer[C]:
-    """Read the suspect, look for one record's mark after the other, and locate the best one's where that is asked for.
+    """Read the suspect, look for one record's mark after the other, and locate the best one's where requested.
 
-    Errors are those of the suspect's files; what is wrong with a record stands in its outcome.
+    Raises the errors of reading the suspect's files; what is wrong with a record stands in its outcome.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def verify_in_motion(suspect: Suspect, opened: OpenedRecord, original: Path, con
     """Does this model, exported from a clip, or do these pictures of one moment of it, carry the mark?
 
     `original` is the file or the folder of the unmarked clip that the record commits to; InputError if it is another,
-    or none. All moments that pictures are compared with are counted as tries; which moment a model shows is told by
+    or none. Each moment that pictures are compared with is a hypothesis; which moment a model shows is found from its
     geometry alone.
     """
     import numpy as np

@@ -16,10 +16,10 @@ import pytest
 
 from engine.credentials import native, signing
 from engine.credentials.manifest import EMBEDDED, MOST_BYTES, model_type
-from engine.credentials.native import MOST_CHARACTERS, MOST_TOLD, parse
+from engine.credentials.native import MOST_CHARACTERS, MOST_ENTRIES, parse
 from engine.credentials.reading import Credentials, read_credentials
 from engine.credentials.signer import Signer
-from engine.credentials.signing import sign_beside, sign_into
+from engine.credentials.signing import sign_into, sign_sidecar
 from engine.errors import InputError
 from engine.formats import read_model
 from tests.credentials.conftest import RECORD, Desk
@@ -85,7 +85,7 @@ def test_a_manifest_of_another_file(signed: Path, files: dict[str, Path], desk: 
     assert (found.state, found.signer) == ("Invalid", "Studio Acme")
     beside = tmp_path / "stolen.glb"
     beside.write_bytes(files["glb"].read_bytes())
-    of_splat = sign_beside(files["splat"], "splat", RECORD, desk.signer).store
+    of_splat = sign_sidecar(files["splat"], "splat", RECORD, desk.signer).store
     for stolen, states in ((store, ("Unread", "Invalid")), (of_splat, ("Invalid",))):
         (tmp_path / "stolen.c2pa").write_bytes(stolen)
         other = read_credentials(beside, "glb", desk.authority)
@@ -95,7 +95,7 @@ def test_a_manifest_of_another_file(signed: Path, files: dict[str, Path], desk: 
 
 def test_bytes_flipped_in_a_manifest_never_pass_for_another(files: dict[str, Path], desk: Desk) -> None:
     """Each is refused, invalid, or changes nothing that is told (padding)."""
-    store = sign_beside(files["glb"], "glb", RECORD, desk.signer).store
+    store = sign_sidecar(files["glb"], "glb", RECORD, desk.signer).store
     whole = parse(files["glb"], "model/gltf-binary", store, desk.authority)
     assert whole["state"] == "Trusted"
     rng, seen = np.random.default_rng(7), set()
@@ -184,7 +184,7 @@ def test_words_that_harm_a_terminal(
     assert all(text.isprintable() for text in told)
     assert "?[31mvalue" in found.bindings[0][1]
     assert len(found.generator) <= MOST_CHARACTERS
-    assert len(found.bindings) == len(found.actions) == MOST_TOLD
+    assert len(found.bindings) == len(found.actions) == MOST_ENTRIES
     assert found.record_ids == []
 
 
@@ -221,7 +221,7 @@ def test_nobody_is_called(files: dict[str, Path], monkeypatch: pytest.MonkeyPatc
     try:
         key = KEYS["es256"]()
         chain = chain_of(key, usages=MAIL, ocsp=f"http://127.0.0.1:{server.server_port}/ocsp")
-        made = sign_beside(files["glb"], "glb", RECORD, Signer(chain, pem(key)))
+        made = sign_sidecar(files["glb"], "glb", RECORD, Signer(chain, pem(key)))
         assert parse(files["glb"], model_type("glb"), made.store)["state"] == "Valid"
         assert asked == []
         verify = native.SETTINGS["verify"] | {"ocsp_fetch": True}

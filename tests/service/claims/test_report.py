@@ -37,7 +37,7 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
     assert "<h1>Watermark found</h1>" in marked
     assert "32/32" in marked
     assert "<h1>Your unmarked original</h1>" in not_marked
-    assert "It acquits nobody" in not_marked
+    assert "It does not acquit" in not_marked
     assert "chance gives about 16" in not_marked
     assert "<h1>Inconclusive</h1>" in undecided
     assert "derived from your asset" in undecided
