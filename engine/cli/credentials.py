@@ -103,11 +103,11 @@ def sign(
 
 @app.command("trial")
 def trial(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Who signs, as the certificate says.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the signer in the certificate.")],
     certificates: Certificates,
     private_key: PrivateKey,
     authority: Annotated[
-        Path, typer.Option("--authority", metavar="PEM", help="Certificate of the authority: who trusts it, trusts it.")
+        Path, typer.Option("--authority", metavar="PEM", help="Certificate of the authority that issues the signer's.")
     ],
     days: Annotated[int, typer.Option("--days", metavar="N", help="How long the certificate is valid.")] = 90,
     json: Json = False,

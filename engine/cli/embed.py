@@ -76,7 +76,7 @@ def embed(
     ] = None,
     earlier: Annotated[
         Path | None,
-        typer.Option("--earlier", metavar="RECORD", help="Of another copy of this model: saves time, see below."),
+        typer.Option("--earlier", metavar="RECORD", help="Record of another copy of this model: faster, see below."),
     ] = None,
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Self-declared time of registration, or 'now'.")

@@ -43,7 +43,7 @@ def inspect(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Say what a model file holds, and what was repaired to read it.
+    """Describe a model file, and list what was repaired to read it.
 
     Content Credentials (C2PA) in the file, or in its sidecar file (.c2pa), are
     shown, too. They are their signer's statement: only 'mark3dgs verify' shows

@@ -21,7 +21,7 @@ TsaCertificates = Annotated[
 ]
 TrustedList = Annotated[
     Path | None,
-    typer.Option("--trusted-list", help="PEM certificates of a trusted list (eIDAS), to tell qualified time stamps."),
+    typer.Option("--trusted-list", help="PEM certificates of a trusted list (eIDAS), for qualified time stamps."),
 ]
 Jwks = Annotated[
     Path | None, typer.Option("--jwks", help="Public keys of a service whose log is trusted (/.well-known/jwks.json).")
@@ -62,7 +62,7 @@ def read_certificates(path: Path) -> list[Certificate]:
 
 
 def read_attestation(path: Path) -> Attestation:
-    """A time-stamping service's reply (DER), or a service's signed word on a registration (compact JWS)."""
+    """A time-stamping service's reply (DER), or a service's signed statement of a registration (compact JWS)."""
     from engine.formats.guards import read_small
     from engine.records.attestation import LOG, Attestation, stamp_of
 

@@ -1,4 +1,4 @@
-"""What an address on the open network answers: no proxy, no cookies, no encoding; each redirect is looked at anew."""
+"""What an address on the open network answers: no proxy, no cookies, no encoding; each redirect is checked anew."""
 
 import asyncio
 import ssl
@@ -26,7 +26,7 @@ class Exchange:
     at: str  # of the request, UTC, ISO 8601
     address: str  # IP address
     target: str  # of the request line
-    asked: tuple[tuple[str, str], ...]  # headers as sent
+    request_headers: tuple[tuple[str, str], ...]  # headers as sent
     status: str  # such as "200 OK"
     answered: tuple[tuple[str, str], ...]  # headers as they came
     certificates: tuple[bytes, ...]  # of the server (DER), its own first; before Python 3.13 that one alone
@@ -76,7 +76,7 @@ async def _get(
             at=at,
             address=address,
             target=url.raw_path.decode(),
-            asked=_plain(answer.request.headers),
+            request_headers=_plain(answer.request.headers),
             status=f"{answer.status_code} {answer.reason_phrase}",
             answered=_plain(answer.headers),
             certificates=_certificates(answer),

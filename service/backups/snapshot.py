@@ -41,7 +41,7 @@ from service.trust.master import MasterKey
 LEFT_OUT = {DATABASE, JOBS_DATABASE, "admin.key"}
 """Files of the data folder that are not copied as they lie there; the last was for a person to read and delete."""
 _FLEETING = ("-wal", "-shm", "-journal", ".new", ".part")
-"""Ends of names: SQLite's files beside a database, and files in the making."""
+"""Ends of names: SQLite's own files of a database, and files in the making."""
 
 
 def take(
@@ -106,7 +106,7 @@ def _stored(data: Path) -> list[str]:
 
 
 def _others(data: Path, master_key: bool) -> list[str]:
-    """Files beside databases and stored files."""
+    """Files but databases and stored files."""
     out = LEFT_OUT if master_key else LEFT_OUT | {MASTER_FILE}
     names = sorted(path.name for path in data.iterdir() if path.is_file())
     return [name for name in names if name not in out and not name.endswith(_FLEETING)]

@@ -152,11 +152,11 @@ def _derivation_fault(document: Mapping[str, Any]) -> str:
 
 
 def meaning_check(document: Mapping[str, Any]) -> Check:
-    """Whether the signed words are those that follow from the signed numbers."""
+    """Whether the signed words follow from the signed numbers."""
     made_by = document["tool"]["version"]
     if document["schema_version"] != SCHEMA_VERSION or made_by != version("mark3dgs"):
-        text = f"The meaning is in the words of version {made_by}; they were not made anew."
+        text = f"The meaning is in the words of version {made_by}; this version cannot check them."
         return Check("meaning", Status.NOT_CHECKED, text)
     if document_words(document).meaning == document["meaning"]:
         return Check("meaning", Status.PASS, "The meaning is the one that this program reads out of the numbers.")
-    return Check("meaning", Status.FAIL, "the signed words are not those that follow from the signed numbers")
+    return Check("meaning", Status.FAIL, "the signed words do not follow from the signed numbers")

@@ -14,7 +14,7 @@ from service.claims.document import Examined, Registered, build_document, docume
 from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
-from service.db import Database, alone
+from service.db import Database, take_write_lock
 from service.db.schema import acquisitions, assets, claims
 from service.jobs.port import Job
 from service.problems import Problem
@@ -106,7 +106,7 @@ def issue_claim(
     "conflict" where the acquisition was deleted meanwhile,
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
-    alone(connection)
+    take_write_lock(connection)
     query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)
     if (row := connection.execute(query).one_or_none()) is not None:
         return IssuedClaim(row.id, json.loads(row.document), row.jws)

@@ -5,7 +5,7 @@
 3. The document's form.                        7. What was drawn for the record follows from a time stamp.
 4. Its numbers and words follow from others.   8. What stands around the claim says what was signed.
                                                9. The time stamp, if there is one.
-10. Where the suspect comes from, as far as somebody says so.
+10. Where the suspect comes from, as far as it is stated.
 """
 
 import base64
@@ -208,7 +208,7 @@ def _around(data: bytes, carried: Carried, document: Document, payload: bytes) -
 
 
 def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
-    """Whether words around the claim are those that this program makes of it."""
+    """Whether the words around the claim are the ones that this program writes for it."""
     if same:
         return Check(code, Status.PASS, f"Every word of the {code} follows from what was signed.")
     ours = document["tool"]["version"]
@@ -267,27 +267,29 @@ def _acquisition(
     document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
 ) -> Check:
     """Whether the suspect is what was acquired, that was logged before the claim, and who says when it existed."""
-    told, audit = document.get("acquisition"), document["audit"]
+    acquired, audit = document.get("acquisition"), document["audit"]
     found = audit.get("acquisition")
-    if told is None or found is None:
+    if acquired is None or found is None:
         return Check("acquisition", Status.FAIL, "the claim and the log do not both name an acquisition")
-    facts, entry = acquisition_facts(told), found["entry"]
-    logged = (ACQUISITION_MADE, told["id"], audit["entry"]["tenant"], digest(facts))
+    facts, entry = acquisition_facts(acquired), found["entry"]
+    logged = (ACQUISITION_MADE, acquired["id"], audit["entry"]["tenant"], digest(facts))
     if logged != (entry["event"], entry["subject"], entry["tenant"], entry["payload"].get("digest")):
-        return Check("acquisition", Status.FAIL, "the log's entry speaks of another acquisition")
+        return Check("acquisition", Status.FAIL, "the log's entry names another acquisition")
     if entry["index"] >= audit["index"] or not _included(entry, found["proof"], audit):
         return Check("acquisition", Status.FAIL, "the acquisition is not in the log, or came after the claim")
-    if told["at"] > entry["at"]:
+    if acquired["at"] > entry["at"]:
         return Check("acquisition", Status.FAIL, "the acquisition was logged before it was made")
-    if told["payload_sha256"] not in document["subject"]["sha256"]:
+    if acquired["payload_sha256"] not in document["subject"]["sha256"]:
         return Check("acquisition", Status.FAIL, "the file that was acquired is not the suspect")
-    origin = f"The suspect is the file that {'was fetched' if told['url'] else 'was handed in'} on {told['at']}"
-    origin += f" from {told['url']}, by the word of the service" if told["url"] else ", from where its owner says"
-    if told["timestamp"] is None:
-        text = f"{origin}; that it existed by then is the word of the service, whose log has it on {entry['at']}."
+    origin = f"The suspect is the file that was {'fetched' if acquired['url'] else 'uploaded'} on {acquired['at']}"
+    origin += (
+        f" from {acquired['url']}, as the service states" if acquired["url"] else "; only its owner can say from where"
+    )
+    if acquired["timestamp"] is None:
+        text = f"{origin}; only the service states that it existed by then: its log has it on {entry['at']}."
         return Check("acquisition", Status.NOT_CHECKED, text)
     try:
-        token, stamped = base64.b64decode(told["timestamp"], validate=True), canonical(facts)
+        token, stamped = base64.b64decode(acquired["timestamp"], validate=True), canonical(facts)
         at = check_stamp(token, stamped, certificates) if certificates else stamped_at(token, stamped)
     except (TimestampFault, ValueError) as fault:
         return Check("acquisition", Status.FAIL, f"the time stamp of the acquisition: {fault}")

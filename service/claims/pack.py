@@ -44,7 +44,7 @@ def shown_in_pack(pictures: Mapping[str, Any]) -> list[str]:
 
 
 def make_pack(
-    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, told: OwnerStatement
+    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, given: OwnerStatement
 ) -> bytes:
     """The ZIP of a signed claim; `pictures`: PNG bytes of those that `shown_in_pack` names.
 
@@ -71,23 +71,23 @@ def make_pack(
         "names": NAMES,
         "captions": captions_of(document),
         "digests": [(name, digests[name]) for name in pictures],
-        "told": told,
-        "found_at": [*map(str, told.copy_url)] or ([acquired] if acquired else []),
-        "note": [part for line in told.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
+        "given": given,
+        "found_at": [*map(str, given.copy_url)] or ([acquired] if acquired else []),
+        "note": [part for line in given.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
     }
     names = ["finding", "notice"]
-    if told.law is not None:
+    if given.law is not None:
         names.append("statement")
         finding = about["words"].finding
         parts = elements(
-            told.law,
+            given.law,
             document,
             finding,
             about["owner"] or "[name of the owner]",
             about["found_at"],
-            str(told.original_url or ""),
+            str(given.original_url or ""),
         )
-        about |= {"title": TITLES[told.law], "elements": parts, "blank": [part for part in parts if part.blanks]}
+        about |= {"title": TITLES[given.law], "elements": parts, "blank": [part for part in parts if part.blanks]}
     files = {f"{name}.txt": _texts().get_template(f"{name}.txt").render(about).encode() for name in names}
     files |= {f"signed/{name}.png": data for name, data in pictures.items()}
     if "asset" in pictures:

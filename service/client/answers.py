@@ -69,9 +69,9 @@ class Job:
                 raise of_problem(self.problem, job=self.id)
             except (KeyError, TypeError, ValueError):
                 pass
-        told = str((self.result or {}).get("text", f"job {self.id} is {self.state}, stage {self.stage!r}"))
+        text = str((self.result or {}).get("text", f"job {self.id} is {self.state}, stage {self.stage!r}"))
         code = self.state if self.state in ("disputed", "cancelled") else "unexpected-answer"
-        raise ServiceError(code if self.ended else "timed-out", told, values={"job": self.id})
+        raise ServiceError(code if self.ended else "timed-out", text, values={"job": self.id})
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class ClaimSummary:
     finding: str
     log10_false_claim: float
     created_at: str
-    suspects: list[str] = field(default_factory=list)  # of the files handed in
+    suspects: list[str] = field(default_factory=list)  # of the suspect's files
     asset_label: str | None = None
     copy_name: str | None = None
 
@@ -224,7 +224,7 @@ class Acquisition:
     """A suspect kept as it was found."""
 
     id: str
-    url: str | None  # None of a file that was handed in
+    url: str | None  # None for an uploaded file
     at: str
     bytes: int
     payload_sha256: str

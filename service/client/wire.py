@@ -75,7 +75,7 @@ class Reply:
 
     @property
     def good(self) -> bool:
-        """Done as asked."""
+        """Whether the request succeeded."""
         return 200 <= self.status < 300
 
     def json(self) -> Any:

@@ -59,7 +59,7 @@ Embedder = Annotated[Caller, Depends(may("embed"))]
 Verifier = Annotated[Caller, Depends(may("verify"))]
 Uploader = Annotated[Caller, Depends(may("embed", "verify"))]
 Follower = Annotated[Caller, Depends(may("read", "embed", "verify", OPERATOR))]
-"""Sees what came of jobs: without `read`, of those that this very key asked for (`visible`)."""
+"""Sees results of jobs: without `read`, of those that this very key requested (`visible`)."""
 OriginalsReader = Annotated[Caller, Depends(may("originals"))]
 Admin = Annotated[Caller, Depends(may("admin"))]
 Operator = Annotated[Caller, Depends(may(OPERATOR))]
@@ -77,7 +77,7 @@ def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
     return row
 
 
-Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
+Limit = Annotated[int, Query(ge=1, le=100, description="Entries per page.")]
 NO_ZERO = r"^[^\x00]*$"
 """`check_address`, as the API's description says it of a parameter."""
 Words = Annotated[str, Query(max_length=200, pattern=NO_ZERO)]

@@ -35,7 +35,7 @@ def evaluate(
         Path | None,
         typer.Option(
             "--out",
-            help="Folder for cells, figures and report; a run goes on where it stopped. Suites that only print rows "
+            help="Folder for cells, figures and report; a stopped run continues. Suites that only print rows "
             "work without it.",
         ),
     ] = None,
@@ -75,8 +75,8 @@ def evaluate(
 ) -> int:
     """Measure, draw, report: results.json, figures (SVG, PNG) and report.html.
 
-    Stop it with Ctrl-C at any time; with --out the same command goes on where it
-    stopped.
+    Stop it with Ctrl-C at any time; with --out the same command continues where
+    it stopped.
 
     Examples:
 

@@ -23,7 +23,7 @@ from service.db.schema import assets, audit, notices
 from service.embeds import screening
 from service.embeds.flow import embed_flow
 from service.embeds.screening import PLAIN, choose
-from service.embeds.watch import NOBODY, watch_flow
+from service.embeds.watch import NO_TENANT, watch_flow
 from service.http.job_responses import view
 from service.http.results import notice_of
 from service.jobs.port import Flow, Job, Run, State
@@ -85,7 +85,7 @@ class House:
 
     def watch(self) -> list[dict[str, Any]]:
         """What comes of the jobs that look for others' marks; notices of all tenants."""
-        for job in self.service.jobs.list(NOBODY, 100, states=[State.QUEUED]):
+        for job in self.service.jobs.list(NO_TENANT, 100, states=[State.QUEUED]):
             self.do(watch_flow(self.service), job)
             self.service.jobs.result(job.id, State.SUCCEEDED, {})
         rows = self.service.db.query(notices.select()).all()
@@ -206,7 +206,7 @@ def test_when_it_is_looked_at_is_drawn(tmp_path: Path) -> None:
         _question(house, number, look=False)
     waits = [
         (datetime.fromisoformat(job.created_at) - datetime.now(UTC)).total_seconds() / 60
-        for job in house.service.jobs.list(NOBODY, 100)
+        for job in house.service.jobs.list(NO_TENANT, 100)
     ]
     house.service.close()
     assert 30 < max(waits) <= house.service.settings.watch_minutes
