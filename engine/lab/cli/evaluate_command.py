@@ -123,8 +123,8 @@ def evaluate(
     if suite in MEASUREMENTS:
         rows = [{name: value for name, value in row.items() if name != "cell"} for row in rows]
         for row in rows:
-            told = (f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict))
-            console.say("  ".join(told))
+            fields = (f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict))
+            console.say("  ".join(fields))
         report |= MEASUREMENTS[suite].conditions(options) | {"rows": rows}
     for bar in report.get("bars", ()):
         word = {True: "met", False: "MISSED", None: "not measured"}[bar["met"]]
@@ -135,8 +135,8 @@ def evaluate(
     return 0
 
 
-def _scenes(asked: list[Path] | None) -> tuple[str, ...]:
-    scenes = tuple(str(path.resolve()) for path in asked or [shipped_scene()])
+def _scenes(given: list[Path] | None) -> tuple[str, ...]:
+    scenes = tuple(str(path.resolve()) for path in given or [shipped_scene()])
     for path in scenes:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file")

@@ -35,12 +35,12 @@ def run_cells(
     dask : str, optional
         Address of a scheduler whose workers see the same files under the same paths.
     tell : callable, optional
-        Told a cell's name and the fraction done.
+        Called with a cell's name and the fraction done.
 
     Raises
     ------
     InputError
-        If two cells have one name, or Dask is asked for and not there.
+        If two cells have one name, or Dask is requested and not installed.
     """
     names = [cell.name for cell in cells]
     if len(set(names)) < len(names):

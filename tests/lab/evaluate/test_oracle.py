@@ -56,7 +56,7 @@ def test_few_dimensions_are_walked_and_the_budget_is_kept() -> None:
         step += 1
         place = _hop(teller, place, step, rng)
         assert cast(Any, _plane(way, [])(way.model(place))).claim.verdict is Verdict.INCONCLUSIVE
-    assert len(asked) == teller.asked == 600
+    assert len(asked) == teller.count == 600
     assert _length(place) < 0.5 * first
     assert teller.claims(start)
     assert len(asked) == 600

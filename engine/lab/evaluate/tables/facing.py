@@ -229,11 +229,11 @@ def page(rows: Sequence[Row], options: Options) -> str:
         if not missed:
             parts.append("None of those measured.")
             continue
-        told = [
+        missed_rows = [
             f"| {line.table} | {line.what} | {_text(line.paper, line)} | {_text(getattr(line, mine), line)} |"
             for line in missed
         ]
-        parts.append("\n".join([MISSED.format(title.lower()), *told]))
+        parts.append("\n".join([MISSED.format(title.lower()), *missed_rows]))
     for table in dict.fromkeys(line.table for line in made):
         of = [line for line in made if line.table == table]
         parts.append(f"## {table}")

@@ -128,7 +128,7 @@ def attack_pictures(
                 if column in columns
             )
             about = {"scene": marked.name, "seed": seed, "on": "picture", "reading": label, "view": view}
-            rows += [{**about, **told} for told in _of_picture(picture, camera, marked, trials, (seed, view, number))]
+            rows += [{**about, **row} for row in _of_picture(picture, camera, marked, trials, (seed, view, number))]
     return rows
 
 
