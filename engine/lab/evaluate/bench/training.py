@@ -1,6 +1,6 @@
 """What trainings leave of a mark: fine-tuning by the paper's Table 5, and fresh models trained on renders.
 
-No results are published for the latter. Our reading is informed: it uses the owner's record, which blind decoders do without.
+The latter has no published results. Our reading is informed: it uses the owner's record, blind decoders do not.
 """
 
 from collections.abc import Iterator, Sequence
