@@ -17,7 +17,7 @@ from service.clock import ago, now
 from service.core import Service
 from service.db import Database
 from service.db.schema import assets, deliveries, jobs, webhooks
-from service.embeds.watch import NOBODY, watch_flow
+from service.embeds.watch import NO_TENANT, watch_flow
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, Run, State
 from service.settings import Settings
@@ -113,7 +113,7 @@ def test_a_mark_that_was_found_is_told_to_those_who_asked_for_it(own: Service, r
         row = dict.fromkeys((column.name for column in assets.columns), "x") | {"id": "as_1", "tenant": "acme"}
         connection.execute(assets.insert().values(row | {"gaussians": 1}))
     found = {"asset": "as_1", "z": 99.0, "log10_false_claim": -2000.0, "copy_z": None, "copy_named": None}
-    job = Job("watch_as_2", NOBODY, "", "watch", State.RUNNING, {"asset": "as_2"})
+    job = Job("watch_as_2", NO_TENANT, "", "watch", State.RUNNING, {"asset": "as_2"})
     for _ in range(2):
         watch_flow(own)[1].do(Run(job, {"watch": {"carries": [found]}}))
     assert deliver(own) == 1
