@@ -68,7 +68,7 @@ Reply = dict[str, Any]
 
 
 class Cancelled(Exception):
-    """The task was not to go on; its process was ended."""
+    """The task was cancelled; its process was ended."""
 
 
 class Stopped(Exception):

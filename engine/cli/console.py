@@ -1,4 +1,4 @@
-"""What the commands say: results on stdout, the rest on stderr; for machines JSON instead of both."""
+"""Output of the commands: results on stdout, the rest on stderr; for machines JSON instead of both."""
 
 from __future__ import annotations
 

@@ -189,7 +189,7 @@ def embed(
 
 @dataclass(frozen=True, eq=False)
 class CopyReport(Report):
-    """What `embed --json` tells of one copy."""
+    """What `embed --json` reports of one copy."""
 
     mark: MarkReport
     out: str
@@ -268,7 +268,7 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
 
 
 def _spending(spent: Spent) -> str:
-    """On what an allowance went, for people."""
+    """What an allowance was spent on, for people."""
     allowed = f"{spent.allowed_db:g} dB"
     way = next((way for way in spent.ways if way.sh_degree == spent.sh_degree), None)
     if way is None:

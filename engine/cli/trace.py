@@ -1,4 +1,4 @@
-"""`mark3dgs trace`: which of the copies I gave away took part in this suspect?"""
+"""`mark3dgs trace`: which recipients' copies does this suspect derive from?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model's manifest says, read in a process of its own with limits: the file may be anybody's.
+"""What a model's manifest says, read in a process of its own with limits: the file may be hostile.
 
 Our own bounded readers find the manifest and refuse a large one, before native code sees any of it. What the process
 does, a crash included, leaves the reader of the model alone.

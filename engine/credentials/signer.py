@@ -1,4 +1,4 @@
-"""Who signs: a certificate chain and its private key, both PEM; and a chain of one's own, for trials.
+"""The signer: a certificate chain and its private key, both PEM; and a self-issued chain, for trials.
 
 C2PA Technical Specification 2.4: 13.2 (algorithms), 14.5 (certificates).
 """
@@ -89,7 +89,7 @@ def read_signer(certificates: Path, key: Path) -> Signer:
 def make_trial_signer(name: str, days: int) -> tuple[Signer, bytes]:
     """A self-made signer, and the certificate (PEM) of the authority that issued the signer's.
 
-    Who trusts that authority finds the signer trusted. Its key is thrown away: it issues nothing else.
+    To trust that authority is to trust the signer. Its key is thrown away: it issues nothing else.
     """
     if not 1 <= len(name) <= 64 or not name.isprintable():  # RFC 5280, A.1: ub-common-name
         raise InputError(f"the name must have 1 to 64 printable characters, got {name!r}")

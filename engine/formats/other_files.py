@@ -1,4 +1,4 @@
-"""What people hold for a Gaussian model and is none: what it is, and what to give or export instead."""
+"""Files that are mistaken for a Gaussian model: what they are, and what to give or export instead."""
 
 import re
 from collections.abc import Callable

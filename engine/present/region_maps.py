@@ -1,6 +1,6 @@
 """The map of a mark: which parts of an asset, of a suspect or of a picture carry it, with a legend that says how sure.
 
-States are drawn, not z: nothing that is shown tells a secret sign, or where one region ends and the next begins.
+States are drawn, not z: nothing that is shown reveals a secret sign, or where one region ends and the next begins.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def list_pairs(order, visible, records, bounds, tiles_x, log2_skip, histograms, 
 
     `bounds` is what `projection.project` wrote. Each share of the order fills its own row of `tiles` and `owners`
     (shares, capacity) and counts its pairs per tile in `histograms` (shares, tiles) and altogether in `counts`
-    (shares,); `sizes` (N,) gets the tiles of every Gaussian. Where a row is too short the walk goes on counting: the
+    (shares,); `sizes` (N,) gets the tiles of every Gaussian. Where a row is too short the walk continues counting: the
     caller makes longer rows and calls again.
     """
     extents, rects, covers = bounds

@@ -1,4 +1,4 @@
-"""Checking attestations (`attestation`): whose word on a record counts, and why another's does not."""
+"""Checking attestations (`attestation`): which of them count for a record, and why others do not."""
 
 import base64
 import binascii

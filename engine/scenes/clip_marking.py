@@ -145,7 +145,7 @@ def _visible_rows(model: GaussianModel, when: str = "") -> Int64:
 
 
 def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0) -> OpenedRecord:
-    """The record as if the scene had always stood still at one moment: the reference moved, the rest as it is.
+    """The record as if the scene had always stood still at one moment: the reference moved, the rest unchanged.
 
     For `verify_model` and `verify_images`; of the Gaussians that are not visible then, nothing is left.
     `landmark_views` make a bank of that moment, for pictures whose camera is not known. InputError if the record does
@@ -172,7 +172,7 @@ def find_time(suspect: GaussianModel, opened: OpenedRecord, original: Moving, *,
     """The moment at which the original looks most like a model exported from it; None where it is never found.
 
     Most Gaussians nearest to where they should be, in their own sizes. Only geometry and the registration's unmarked
-    features decide, so the search is no further try of a claim. It tries `TRIED` moments over the whole clip, then
+    features decide, so the search adds no hypothesis to a claim. It tries `TRIED` moments over the whole clip, then
     `ROUNDS` times the neighbours of the best.
     """
     shown = visible(suspect)

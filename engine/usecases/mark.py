@@ -102,7 +102,7 @@ def mark(
     """Mark a scene for one recipient after another; an answer comes when its files are written, each whole or not at
     all.
 
-    Errors are those of reading, of `flows.embed.embedding.embed`, and InputError where a file cannot be written.
+    Raises the errors of reading and of `flows.embed.embedding.embed`, and InputError where a file cannot be written.
 
     Parameters
     ----------

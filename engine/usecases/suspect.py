@@ -29,7 +29,7 @@ class SuspectSource(Protocol):
     """Where a suspect comes from."""
 
     def read(self) -> ReadSuspect:
-        """The suspect; errors are those of its files."""
+        """The suspect; raises the errors of its files."""
 
 
 @dataclass(frozen=True)

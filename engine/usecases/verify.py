@@ -53,7 +53,7 @@ class VerifyRequest(Generic[C]):
 
 @dataclass(frozen=True, eq=False)
 class VerifyReport(Report):
-    """A claim, and the record it speaks of."""
+    """A claim, and the record it is about."""
 
     claim: Claim
     seconds: float
@@ -97,7 +97,7 @@ def printed(report: Json, registered: str) -> Json:
 
 @dataclass(frozen=True, eq=False)
 class VerifyAnswer(Generic[C]):
-    """What came of it."""
+    """The result of a verification."""
 
     read: ReadSuspect
     search: Search[C]
@@ -106,7 +106,7 @@ class VerifyAnswer(Generic[C]):
 
     @property
     def best(self) -> Outcome[C] | None:
-        """The candidate that tells most; None where there was none."""
+        """The candidate with the strongest evidence; None where there was none."""
         return self.search.best
 
 

@@ -2,9 +2,10 @@
 
 1. The stored files. A file is whole before a row, or a step that a job has kept, names it; it goes only when nothing
    names it any more and it is older than an upload may be.
-2. The job engine's database, then ours, each by SQLite's online backup: one moment of it, while writers go on. Ours is
-   the later moment. So a job that the engine's copy does not know is enqueued again, and one that has ended meanwhile
-   finds nothing left to do. The other way round it would be taken for one that ended without a word, and fail.
+2. The job engine's database, then ours, each by SQLite's online backup: one moment of it, while writers continue.
+   Ours is the later moment. So a job that the engine's copy does not know is enqueued again, and one that has ended
+   meanwhile finds nothing left to do. The other way round it would be taken for one that ended without a word, and
+   fail.
 3. The stored files that came since. What the databases name and 1 has not copied is younger than this backup, and no
    tidying up takes it.
 4. The master key's file, and whatever else lies in the data folder.
@@ -12,7 +13,7 @@
    backup.
 
 What happens meanwhile: an asset or claim deleted before 2 is not in the backup (files of it may be, and go with the
-next tidying up), one deleted after 2 is. A job at work goes on, where the backup is restored, at its last finished
+next tidying up), one deleted after 2 is. A job at work continues, where the backup is restored, at its last finished
 step. Uploads under way are left out: their clients start again. So are what can be made anew (scratch, index of the
 assets, compiled kernels), and `admin.key`.
 """

@@ -219,7 +219,7 @@ class Crew:
             threading.Thread(target=self._watch, daemon=True).start()
 
     def stop(self) -> None:
-        """End all; a running job goes on with the next start."""
+        """End all; a running job continues at the next start."""
         self._stopping.set()
         for process in self._running.values():
             process.terminate()

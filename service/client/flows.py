@@ -169,7 +169,7 @@ def job(job_id: str) -> Flow[Job]:
 
 
 def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Flow[Job]:
-    """A job once it has ended, however it did; ServiceError "timed-out" after `timeout` seconds: it goes on.
+    """A job once it has ended, however it did; ServiceError "timed-out" after `timeout` seconds: it continues.
 
     A connection that breaks meanwhile is made anew.
     """
@@ -186,7 +186,7 @@ def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = No
             if found.ended:
                 return found
         if until is not None and time.monotonic() + pause > until:
-            text = f"job {job_id} has not ended within {timeout:g} s; it goes on"
+            text = f"job {job_id} has not ended within {timeout:g} s; it continues"
             raise ServiceError("timed-out", text, values={"job": job_id})
         yield Pause(pause)
         pause = min(2 * pause, LONGEST_LOOK)

@@ -196,7 +196,7 @@ class DurableJobs:
         return job
 
     def recover(self, silent_seconds: float, but: str = "") -> Sequence[str]:
-        """Take over the jobs of workers not heard of for that long; ids of those workers.
+        """Take over the jobs of workers that were silent for that long; ids of those workers.
 
         Silence is measured from the first call that saw it, so a single call finds only workers that left. A worker
         does not judge itself: that is `but`.
@@ -217,7 +217,7 @@ class DurableJobs:
         return {workflow.workflow_id: workflow.executor_id or "" for workflow in pending}
 
     def requeue(self, job_ids: Collection[str]) -> None:
-        """Put jobs back in the queue. They go on at their last finished step; DBOS lets one who lost a job record no
+        """Put jobs back in the queue. They continue at their last finished step; DBOS lets one who lost a job record no
         further step of it."""
         if job_ids:
             _log.warning("taken over: jobs %s", ", ".join(job_ids))

@@ -94,7 +94,7 @@ class Runner:
         from dbos import DBOS
 
         if job.tries > MAX_TRIES:
-            _log.error("job %s is given up: it was begun %s times in vain", job.id, MAX_TRIES)
+            _log.error("job %s failed: it was begun %s times without a result", job.id, MAX_TRIES)
             return State.FAILED, Problem("engine-limit", f"the work was ended {MAX_TRIES} times").to_json()
         results: dict[str, Mapping[str, Any]] = {}
         for step in self._flows[job.kind]:
@@ -130,7 +130,7 @@ class Runner:
             except Problem as problem:
                 if problem.kind not in _OUT_OF_REACH:
                     raise
-                return True  # its progress is not shown and it cannot be stopped, but the work goes on
+                return True  # its progress is not shown and it cannot be stopped, but the work continues
 
         def work(task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:
             for _ in range(MAX_KILLED - 1):
@@ -261,7 +261,7 @@ class Worker:
                 well = True
             except Exception as error:
                 if well:
-                    _log.warning("worker %s cannot say that it lives: %s", self.name, error)
+                    _log.warning("worker %s cannot report that it is alive: %s", self.name, error)
                 well = False
 
     def _watch(self) -> None:
@@ -299,7 +299,7 @@ class Worker:
             self._jobs.handed_back(self.name)
             self._jobs.presence.leave(self.name)
         except Exception as error:
-            _log.warning("worker %s ends without a word: %s", self.name, error)
+            _log.warning("worker %s ends without signing off: %s", self.name, error)
 
 
 def _scratch(settings: Settings, worker: str) -> Path:

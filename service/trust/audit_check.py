@@ -83,7 +83,7 @@ def verify_log(db: Database, blobs: Stored | None = None) -> LogReport:
     """
     keys = jwks(db)
     with db.read() as connection:
-        # Taken before the log, so that a row committed meanwhile does not seem to be one the log never heard of.
+        # Taken before the log, so that a row committed meanwhile does not seem to be missing from the log.
         known = [(ASSET_REGISTERED, name) for name in connection.execute(sa.select(assets.c.id)).scalars()]
         known += [(CLAIM_ISSUED, name) for name in connection.execute(sa.select(claims.c.id)).scalars()]
         size = audit.size(connection)
