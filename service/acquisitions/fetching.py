@@ -35,7 +35,7 @@ class Exchange:
 async def fetch(
     url: str, target: Path, most_bytes: int, seconds: float, *, private: bool = False
 ) -> tuple[list[Exchange], Received]:
-    """Fetch to a file. All redirects and then the answer whose body it is; what came of it.
+    """Fetch to a file. All redirects and then the answer whose body it is; what was stored of it.
 
     `private`: addresses that are not public will do. "not-fetched" where there is no such answer within `seconds`,
     "too-large" where it has more than `most_bytes`.
@@ -59,7 +59,7 @@ async def fetch(
 async def _get(
     url: httpx.URL, target: Path, most_bytes: int, seconds: float, private: bool
 ) -> tuple[Exchange, str | None, Received]:
-    """One answer, where it leads on to, and what came of its body."""
+    """One answer, where it redirects to, and what was stored of its body."""
     if url.scheme not in ("http", "https") or url.userinfo or not url.host:
         raise Problem("not-fetched", f"{url} is no http(s) address, or has a user name in it")
     if (address := await resolve(url, private=private)) is None:

@@ -15,7 +15,7 @@ from service.claims.schema import DRAWN_BY_STAMP, SCHEMA_VERSION
 
 
 class Status(StrEnum):
-    """What came of a check. "Could not check" is an answer of its own."""
+    """Outcome of a check. "Could not check" is an outcome of its own."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -158,5 +158,5 @@ def meaning_check(document: Mapping[str, Any]) -> Check:
         text = f"The meaning is in the words of version {made_by}; this version cannot check them."
         return Check("meaning", Status.NOT_CHECKED, text)
     if document_words(document).meaning == document["meaning"]:
-        return Check("meaning", Status.PASS, "The meaning is the one that this program reads out of the numbers.")
+        return Check("meaning", Status.PASS, "The words follow from the numbers.")
     return Check("meaning", Status.FAIL, "the signed words do not follow from the signed numbers")

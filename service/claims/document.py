@@ -161,7 +161,7 @@ def build_document(
 
 
 def _acquisition_text(acquisition: Mapping[str, Any]) -> str:
-    """Where the suspect comes from, and who vouches for it."""
+    """Where the suspect comes from, and who attests it."""
     url, token = acquisition["url"], acquisition["timestamp"]
     origin = f"was fetched from {url}" if url else "was uploaded"
     text = f"The suspect {origin} on {when(acquisition['at'])}, as the issuing service states; "
@@ -229,20 +229,20 @@ def _found(claim: Mapping[str, Any], registered: str) -> Document:
 
 
 def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Words:
-    """The document in the engine's words; those of an old document are made anew, but for its own `meaning`."""
+    """The document in the engine's words; an old document's words are written anew, but for its own `meaning`."""
     subject = document["subject"]
     pictures = len(subject["sha256"]) if subject["kind"] == "pictures" else 0
     return words_of(_claim_of(document), form, pictures=pictures)
 
 
 def document_reading(document: Mapping[str, Any]) -> Reading:
-    """What was read, as `mark3dgs verify --json` has it."""
+    """The reading, as `mark3dgs verify --json` has it."""
     read = reading_of(_claim_of(document), (document["message"] or {}).get("registered"))
     return cast("Reading", read.to_json())
 
 
 def no_pack(document: Mapping[str, Any]) -> str:
-    """Why there is nothing to ask a platform for; "" where there is."""
+    """Why there is no pack for a platform; "" where there is one."""
     if document["verdict"] == "not_marked":
         return "the suspect is the unmarked original, or a part of it: your watermark is not in it"
     if not recognizes(_claim_of(document)):
@@ -280,7 +280,7 @@ def _of_first_version(document: Mapping[str, Any]) -> Document:
 
 
 def summary_of(document: Mapping[str, Any]) -> Summary:
-    """The words as the API hands them out next to the document."""
+    """The words as the API returns them with the document."""
     words = document_words(document)
     return Summary(
         headline=words.headline,

@@ -93,7 +93,7 @@ def get_claim(claim_id: str, core: Core, caller: Follower) -> SignedClaim:
 
 @router.delete("/v1/claims/{claim_id}", status_code=204, operation_id="deleteClaim", responses=OF_OWN)
 def delete_claim(claim_id: str, core: Core, caller: Admin) -> None:
-    """Delete a claim and its pictures here. What was handed out stays signed; the log keeps that it was issued."""
+    """Delete a claim and its pictures here. Copies handed out stay valid; the log keeps that it was issued."""
     forget(core.db, claims, caller.tenant, claim_id)
 
 
@@ -118,7 +118,7 @@ def get_pack(claim_id: str, core: Core, caller: Follower, given: Annotated[Owner
 
 @router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())
 def key_set(core: Core, response: Response) -> KeySet:
-    """Public keys of claims, those of the past too."""
+    """Public keys that verify claims, retired ones too."""
     response.headers["Cache-Control"] = "public, max-age=300"
     return KeySet(keys=jwks(core.db)["keys"])
 

@@ -102,7 +102,7 @@ def issue_claim(
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
-    `reply` is that of `service.claims.document.of_what_was_found`; `issuer` says who we are.
+    `reply` is of `service.claims.document.of_what_was_found`; `issuer` names this service.
     "conflict" where the acquisition was deleted meanwhile,
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
@@ -136,7 +136,7 @@ def issue_claim(
 
 
 def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
-    """Ask for a time stamp and keep it with the claim. Returns why there is none, or "" if there is one.
+    """Request a time stamp and keep it with the claim. Returns why there is none, or "" if there is one.
 
     A claim that has a stamp keeps it. Never raises for the time-stamping service's sake.
     """

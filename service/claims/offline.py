@@ -77,21 +77,21 @@ def verify_report(
     except SignatureFault as error:
         say("signature", str(error), "")
         return Findings(tuple(checks))
-    say("signature", "", f"Signed by the key {kid}, which is among those given.")
+    say("signature", "", f"Signed by the key {kid}, one of the given keys.")
     document, fault = _read(payload)  # 3
-    if not say("schema", fault, "The document has the form that this program writes.") or document is None:
+    if not say("schema", fault, "The document has the expected form.") or document is None:
         return Findings(tuple(checks), None, kid)
     if say("arithmetic", arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence."):  # 4
         checks.append(meaning_check(document))
     audit = document["audit"]
     where = f"entry {audit['index']} of the log of {audit['size']} entries"
-    say("log", _log_fault(document), f"The claim is {where}, by its inclusion proof.")  # 5
+    say("log", _log_fault(document), f"The claim is {where} (inclusion proof).")  # 5
     if document["asset"] is not None:  # 6
-        good = f"The asset was registered in the same log before, on {document['registered_at']}."
+        good = f"The asset was registered earlier in the same log, on {document['registered_at']}."
         say("registration", _registration_fault(document), good)
     if earlier := audit.get("earlier"):
         sizes = " and ".join(str(each["size"]) for each in earlier)
-        say("history", history_fault(audit), f"The log begins as it was when it had {sizes} entries.")
+        say("history", history_fault(audit), f"The log is consistent with its state at {sizes} entries.")
     checks += against_others(document, others, jwks)
     if document.get("drawing") is not None:  # 7
         checks.append(_drawing(document, tsa_certificates, listed))
@@ -231,12 +231,12 @@ def _stamp(
     try:
         if certificates:
             at = check_stamp(token, jws.encode(), certificates)
-            text = f"Stamped on {at} by a service that was vouched for{_kind(token, listed)}."
+            text = f"Stamped on {at} by a trusted service{_kind(token, listed)}."
             return Check("timestamp", Status.PASS, text)
         at = stamped_at(token, jws.encode())
     except TimestampFault as fault:
         return Check("timestamp", Status.FAIL, str(fault))
-    text = f"A stamp of {at} is there; who gave it was not checked, for want of a certificate to trust."
+    text = f"A time stamp of {at} is there; its author was not checked: no trusted certificate was given."
     return Check("timestamp", Status.NOT_CHECKED, text)
 
 
@@ -252,21 +252,21 @@ def _drawing(
         stamped_at(draw.token, draw.stamped)
         drawn = drawn_from(draw.token)
         if found["entry"]["payload"].get("drawn_sha256") != hashlib.sha256(drawn.encode()).hexdigest():
-            raise TimestampFault("the time stamp draws something else than was registered")
+            raise TimestampFault("the time stamp's draw is not the registered one")
         if certificates:
-            word = draw.check(drawn, certificates)
-            text = f"Drawn on {word.at} by {word.by}, who was vouched for{_kind(draw.token, listed)}."
+            witness = draw.check(drawn, certificates)
+            text = f"Drawn on {witness.at} by {witness.by}, a trusted service{_kind(draw.token, listed)}."
             return Check("drawing", Status.PASS, text)
     except (TimestampFault, ValueError) as fault:
         return Check("drawing", Status.FAIL, str(fault))
-    text = "The rate rests on a time stamp; who gave it was not checked, for want of a certificate to trust."
+    text = "The rate rests on a time stamp; its author was not checked: no trusted certificate was given."
     return Check("drawing", Status.NOT_CHECKED, text)
 
 
 def _acquisition(
     document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
 ) -> Check:
-    """Whether the suspect is what was acquired, that was logged before the claim, and who says when it existed."""
+    """Whether the suspect is the acquired file, logged before the claim, and who attests when it existed."""
     acquired, audit = document.get("acquisition"), document["audit"]
     found = audit.get("acquisition")
     if acquired is None or found is None:
@@ -283,7 +283,7 @@ def _acquisition(
         return Check("acquisition", Status.FAIL, "the file that was acquired is not the suspect")
     origin = f"The suspect is the file that was {'fetched' if acquired['url'] else 'uploaded'} on {acquired['at']}"
     origin += (
-        f" from {acquired['url']}, as the service states" if acquired["url"] else "; only its owner can say from where"
+        f" from {acquired['url']}, as the service states" if acquired["url"] else "; only its owner knows its origin"
     )
     if acquired["timestamp"] is None:
         text = f"{origin}; only the service states that it existed by then: its log has it on {entry['at']}."
@@ -296,8 +296,10 @@ def _acquisition(
     if certificates:
         text = f"{origin}; {authority_of(token)} attests that it existed on {at}{_kind(token, listed)}."
         return Check("acquisition", Status.PASS, text)
-    text = f"{origin}; a time stamp says that it existed on {at}; who gave it was not checked, for want of a"
-    return Check("acquisition", Status.NOT_CHECKED, f"{text} certificate to trust.")
+    text = (
+        f"{origin}; a time stamp says that it existed on {at}; its author was not checked: no trusted certificate was"
+    )
+    return Check("acquisition", Status.NOT_CHECKED, f"{text} given.")
 
 
 def _canonical_or_none(value: Any) -> bytes | None:

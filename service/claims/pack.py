@@ -1,4 +1,4 @@
-"""The takedown pack: what a platform is sent about a copy, as one ZIP. The same claim and words give the same bytes.
+"""The takedown pack: what is sent to a platform about a copy, as one ZIP. The same claim and words give the same bytes.
 
 Pictures of an unmarked original have no place in it (`PICTURES`): it goes to strangers.
 """
@@ -48,7 +48,7 @@ def make_pack(
 ) -> bytes:
     """The ZIP of a signed claim; `pictures`: PNG bytes of those that `shown_in_pack` names.
 
-    "conflict" where the claim recognised nothing, or the owner's unmarked original: nothing to ask a platform for.
+    "conflict" where the claim recognised nothing, or the owner's unmarked original: there is no copy to take down.
     """
     if reason := no_pack(document):
         raise Problem("conflict", f"{reason}, so there is nothing to take down")

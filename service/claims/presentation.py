@@ -1,4 +1,4 @@
-"""A claim as it is handed out: with its summary, as a page, as a pack."""
+"""A claim as it is delivered: with its summary, as a page, as a pack."""
 
 import base64
 import json

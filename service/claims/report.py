@@ -44,7 +44,7 @@ BEFORE = (
 
 
 def captions_of(document: Mapping[str, Any]) -> dict[str, str]:
-    """What is said under each picture of a claim."""
+    """Captions of a claim's pictures."""
     return CAPTIONS if document.get("regions") is not None else CAPTIONS | {"heatmap": BEFORE}
 
 

@@ -54,7 +54,7 @@ def pack(
     original_url: str = "",
     note: str = "",
 ) -> Flow[Path]:
-    """Fetch what to send a platform (ZIP) to a file; with a `law`, the statements that it asks for are in it."""
+    """Fetch the documents for a platform (ZIP) to a file; with a `law`, the statements that it requires are in it."""
     given = {"law": law or "", "copy_url": copy_url, "original_url": original_url, "note": note}
     params = {name: value for name, value in given.items() if value}
     return (yield from _fetch(f"/v1/claims/{quote(claim_id, safe='')}/pack", target, params, silent))

@@ -61,7 +61,7 @@ class Database:
 
     @property
     def exists(self) -> bool:
-        """Whether there are tables of this service; nothing is made by asking."""
+        """Whether there are tables of this service; makes none."""
         if self.is_sqlite and not Path(str(self.engine.url.database)).exists():
             return False
         with self.read() as connection:
@@ -151,7 +151,7 @@ def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:
 
 
 def missing(table: sa.Table, row_id: str) -> Problem:
-    """What is said of a row that is not there, or not to be seen."""
+    """The error for a row that does not exist, or is not visible."""
     return Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
 
 

@@ -42,7 +42,7 @@ class DisputeRequest(RequestBody):
 
 
 class DisputeResult(TypedDict):
-    """What the job of a dispute has come to."""
+    """The result of a dispute's job."""
 
     document: dict[str, Any]
     jws: str
@@ -124,7 +124,7 @@ CONSENTED = "dispute.consented"
 
 
 def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
-    """Note the caller's consent to a dispute about two assets; "conflict" while that of the other owner lacks.
+    """Note the caller's consent to a dispute about two assets; "conflict" while the other owner's is missing.
 
     "not-found" where neither asset is the caller's; a "conflict", too, where both are one.
     """

@@ -1,4 +1,4 @@
-"""The steps of a dispute: hold two assets against each other, then log and sign what came of it."""
+"""The steps of a dispute: compare two assets, then log and sign the finding."""
 
 from collections.abc import Mapping
 from importlib.metadata import version

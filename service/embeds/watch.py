@@ -24,7 +24,7 @@ NO_TENANT = ""
 
 
 def watch(service: Service, job: Job, asset_id: str) -> None:
-    """Have what an embed job marked looked at; twice is once."""
+    """Queue a look at what an embed job marked; twice is once."""
     request = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
     request["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
     hours = SystemRandom().uniform(0.0, service.settings.watch_minutes / 60.0)
@@ -46,7 +46,7 @@ def _look(service: Service, run: Run) -> Reply:
 
 
 def _notify(service: Service, run: Run) -> Ending:
-    """One notice for each original that was recognised, about the copy that says most; and its owner's webhooks."""
+    """One notice for each recognised original, about its copy with the strongest evidence; and its owner's webhooks."""
     found = {each["asset"]: each for each in run.results["watch"]["carries"]}
     with service.db.write() as connection:
         rows = connection.execute(sa.select(assets).where(assets.c.id.in_(found))).all()
@@ -65,5 +65,5 @@ def _notify(service: Service, run: Run) -> Ending:
 
 
 def _worth(found: Any) -> float:
-    """A copy that is named by itself says most."""
+    """A copy that is named by itself counts most."""
     return float(found.get("copy_z") or 0.0)

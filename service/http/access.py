@@ -1,4 +1,4 @@
-"""What handlers are handed: the service, who is asking (and whether they may), and the page of a list."""
+"""What handlers get: the service, the caller (and whether it may), and the page of a list."""
 
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -32,7 +32,7 @@ async def check_address(request: Request) -> None:
 
 
 def identify(service: Service, token: str | None) -> Caller:
-    """Whose API key came with a request; unauthorized without a valid one."""
+    """The caller of a request, by its API key; unauthorized without a valid one."""
     if token is None:
         raise Problem("unauthorized", "send the header 'Authorization: Bearer mk_...'")
     return check(service.db, service.master, token)
@@ -68,7 +68,7 @@ Party = Annotated[Caller, Depends(may("read", OPERATOR))]
 
 
 def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
-    """The row of a job, or of what came of one, if a `Follower` may see it; not-found otherwise."""
+    """The row of a job, or of its result, if a `Follower` may see it; not-found otherwise."""
     row = own(core.db, table, caller.tenant, row_id)
     if not caller.may("read"):
         job = core.jobs.get(caller.tenant, row.id if table is jobs else row.job)

@@ -25,7 +25,7 @@ _WITHIN = BeforeValidator(lambda fraction: min(max(fraction, 0.0), 1.0))
 
 
 class JobView(BaseModel):
-    """A job as it stands."""
+    """A job and its state."""
 
     id: str
     kind: Literal["embed", "verify", "dispute"]
@@ -88,7 +88,7 @@ def submit(
     body: Mapping[str, Any],
     make: Callable[[], Mapping[str, Any]],
 ) -> Job:
-    """Take a job on, once for each Idempotency-Key (`key`).
+    """Accept a job, once for each Idempotency-Key (`key`).
 
     It stands for `body`: the request with digests in place of files. `make` checks the request, spends budgets, and
     returns the job's own request.
@@ -122,7 +122,7 @@ def submit(
 async def respond(service: Service, job: Job, prefer: str | None) -> Response:
     """202 and where to look; 200 once the job has ended within the time that the client prefers to wait.
 
-    What the job failed with is raised, where that is the client's to mend.
+    The job's error is raised, where the client can correct it.
     """
     seconds = wait_seconds(prefer)
     if seconds:

@@ -67,7 +67,7 @@ class DurableJobs:
         self._opened: DBOSClient | None = None
 
     def submit(self, job: Job, most: int | None = None) -> Job:
-        """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job.
+        """Accept a job; when this returns, it will be done whatever dies. The same id twice is one job.
 
         `too_many` where as many as `most` jobs of its tenant are not final.
         """
@@ -149,7 +149,7 @@ class DurableJobs:
         self._db.change(sa.update(jobs).where(held).values(tries=1))
 
     def handed_back(self, worker: str) -> None:
-        """A worker shuts down: that is no fault of the jobs it was at."""
+        """A worker shuts down: this counts as no failed attempt of its jobs."""
         its = (jobs.c.worker == worker) & _RUNNING & (jobs.c.tries > 0)
         self._db.change(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
@@ -224,7 +224,7 @@ class DurableJobs:
             self.client().resume_workflows(list(job_ids), queue_name=QUEUE)
 
     def reconcile(self) -> None:
-        """Mend what a death between two databases left: jobs never enqueued, and jobs that ended without saying so."""
+        """Repair after a crash between two databases: jobs never enqueued, and jobs that ended without saying so."""
         waiting = self._due_before(ago(_SETTLED_HOURS))
         for start in range(0, len(waiting), _PAGE):
             ids = waiting[start : start + _PAGE]
@@ -255,7 +255,7 @@ class DurableJobs:
                 self._opened = None
 
     def client(self) -> DBOSClient:
-        """DBOS as one who runs no job sees it. Opened on first use: the library takes most of a second to import."""
+        """DBOS for a process that runs no job. Opened on first use: the library takes most of a second to import."""
         with self._lock:
             if self._opened is None:
                 _hush()
@@ -314,7 +314,7 @@ class DurableJobs:
 
 
 def too_many(most: int) -> Problem:
-    """What is said where a tenant has that many jobs."""
+    """The error where a tenant has that many jobs."""
     text = f"{most} jobs of this tenant are waiting or running: send more when some have ended"
     return Problem("budget-exceeded", text, headers={"Retry-After": "30"})
 

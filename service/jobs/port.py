@@ -10,7 +10,7 @@ from service.processes import Reply
 
 
 class State(StrEnum):
-    """Where a job stands. The last four are final."""
+    """State of a job. The last four are final."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -25,7 +25,7 @@ FINAL = frozenset({State.SUCCEEDED, State.DISPUTED, State.FAILED, State.CANCELLE
 
 @dataclass(frozen=True)
 class Job:
-    """One job as it stands."""
+    """One job and its state."""
 
     id: str
     tenant: str
@@ -48,7 +48,7 @@ class Job:
 
 @dataclass
 class Run:
-    """What a step of a flow is handed.
+    """What a step of a flow gets.
 
     `work(task, request, answer) -> reply` runs a task of `service.work` in a process of its own, with limits: progress
     goes to the job, `answer` answers its questions (None: it has none), a cancelled job raises `Cancelled`, an error of

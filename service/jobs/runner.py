@@ -1,4 +1,4 @@
-"""A worker: a process that runs jobs one at a time, says that it lives, and takes over from those that do not."""
+"""A worker: a process that runs jobs one at a time, reports that it is alive, and takes over from dead ones."""
 
 import logging
 import os
@@ -50,7 +50,7 @@ T = TypeVar("T")
 
 
 class Outcome(TypedDict, total=False):
-    """What is kept of a step: one of the three."""
+    """The kept outcome of a step: one of the three."""
 
     kept: Mapping[str, Any]  # its result
     problem: Mapping[str, Any]  # as in RFC 9457
@@ -108,7 +108,7 @@ class Runner:
         return State(last["state"]), last["result"]
 
     def _step(self, job: Job, step: Step, results: Mapping[str, Mapping[str, Any]]) -> Outcome:
-        """What is kept of a step. How it failed is kept as a value too: it would fail again."""
+        """The kept outcome of a step. A failure is kept as a value, too: it would happen again."""
         try:
             kept = self._patiently(lambda: self._do(job, step, results))
             self._patiently(lambda: self._jobs.settled(job))

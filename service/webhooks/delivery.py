@@ -74,7 +74,7 @@ def take(db: Database, busy: Collection[str] = (), most: int = AT_ONCE) -> list[
 
 
 async def _deliver(service: Service, row: Any) -> None:
-    """Try one delivery, and say what came of it."""
+    """Try one delivery, and record its outcome."""
     try:
         message = await asyncio.to_thread(_message, service, row)
         if message is None:
