@@ -56,7 +56,7 @@ class Signer:
             first, last = own.not_valid_before_utc, own.not_valid_after_utc
             raise InputError(f"the certificate is valid from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} UTC only")
         if own.issuer == own.subject:
-            raise InputError("the certificate signs itself, which C2PA does not take: it wants one that another issued")
+            raise InputError("the certificate signs itself; C2PA accepts only certificates that another one issued")
         _algorithm(key)
         object.__setattr__(self, "chain", b"".join(each.public_bytes(Encoding.PEM) for each in certificates))
         object.__setattr__(self, "key", key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))

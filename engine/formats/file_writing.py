@@ -15,7 +15,7 @@ from engine.formats.strays import unheld_rows
 from engine.model import GaussianModel
 
 _SAY_NOTHING = ("splat", "spz", "glb")
-"""Formats without a word for discs; all but the bit of SPZ have none for antialiasing either."""
+"""Formats that cannot declare discs; all but SPZ, which has a bit, cannot declare antialiasing either."""
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:

@@ -48,7 +48,7 @@ class Repair:
 
 
 def degree_dropped(degree: int, count: int) -> Repair:
-    """What is said of harmonics beyond the third degree, which a model cannot hold."""
+    """The note on harmonics beyond the third degree, which a model cannot hold."""
     return Repair("degree_dropped", count, f"harmonics of degree {degree} were read to degree 3: the rest was dropped")
 
 

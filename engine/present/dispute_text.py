@@ -56,7 +56,7 @@ class DisputeWords:
     headline: str
     finding: str
     reasons: tuple[str, ...]
-    looks: tuple[tuple[str, str, str], ...]  # whose mark, where it was looked for, what came of it
+    looks: tuple[tuple[str, str, str], ...]  # whose mark, where it was searched for, the result
     dates: tuple[tuple[str, str], ...]  # whose record, and when it was registered, who says so
     limits: tuple[str, ...]  # what the finding does not say
 

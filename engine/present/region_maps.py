@@ -36,7 +36,7 @@ SAYS = {
     State.UNSEEN: "not seen in the suspect, or too faintly",
 }
 PANEL = (480, 400)
-"""Each picture of a sheet, pixels; a picture that was handed in keeps its shape within the larger side."""
+"""Each picture of a sheet, pixels; a picture of the suspect keeps its shape within the larger side."""
 AROUND, ALL = 0.6, 0.95
 """Focal length, in that of a view of a piece alone, at which it is seen in the scene that it lies in; and the share of
 a suspect from which on that scene is the piece."""

@@ -1,6 +1,6 @@
 """A claim in words: the one wording of it, for command line, report, API and page.
 
-Said of the plain JSON of `verify --json`. Nothing is overstated: bounds are rounded against the claim, and nothing
+Made from the plain JSON of `verify --json`. Nothing is overstated: bounds are rounded against the claim, and nothing
 measured is called certain.
 """
 

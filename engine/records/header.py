@@ -53,7 +53,7 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
 
 
 def make_draw_terms(key: OwnerKey, reference: bytes, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """32 bytes that no other key, reference or plan gives, and that tell nothing of these: what a time-stamping service
+    """32 bytes that no other key, reference or plan gives, and that reveal none of these: what a time-stamping service
     that draws for a plan stamps together with the original's digest. Parameters as for `make_record_id`."""
     return key.derive(DRAW_TERMS, _settled(reference, "", plan, arrays))
 

@@ -61,7 +61,7 @@ class Record:
     ) -> Record:
         """A record of one embedding; the header follows from the rest.
 
-        MalformedRecordError if a text or digest is not as `RecordHeader` wants it; ValueError or TypeError if plan or
+        MalformedRecordError if a text or digest is not as `RecordHeader` requires; ValueError or TypeError if plan or
         extra is no JSON, or an array is of a type that cannot be recorded.
         """
         digest = reference_digest(reference_arrays)

@@ -87,7 +87,7 @@ class VerifyReport(Report):
 
 
 def printed(report: Json, registered: str) -> Json:
-    """The JSON of a `VerifyReport` as it is handed out: its `Reading` in place of what that says, and the rest."""
+    """The JSON of a `VerifyReport` as it is returned: its `Reading` in place of those members, and the rest."""
     from engine.present.reading import reading_of
 
     reading = reading_of(report, registered).to_json()

@@ -75,7 +75,7 @@ def _search_fault(document: Mapping[str, Any]) -> str:
         if searched["recognised"] != (document["verdict"] == "marked" or derived):
             return "whether an asset was recognised does not follow from the verdict"
         if (document["asset"] is not None) != (searched["recognised"] or searched["scope"] == "one"):
-            return "the claim speaks of an asset that was neither named nor recognised, or of none that was"
+            return "the claim names an asset that was neither requested nor recognised, or omits one that was"
     return ""
 
 

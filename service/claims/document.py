@@ -59,7 +59,7 @@ class Summary(BaseModel):
 
 
 def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it speaks of
+    """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it names
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]
     recognised = claim is not None and recognizes(claim)

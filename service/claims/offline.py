@@ -132,7 +132,7 @@ def _log_fault(document: Mapping[str, Any]) -> str:
     }
     for name, value in expected.items():
         if entry[name] != value:
-            return f"the log's entry speaks of another claim (its {name} differs)"
+            return f"the log's entry is of another claim (its {name} differs)"
     return "" if _included(entry, audit["proof"], audit) else "the inclusion proof does not lead to the log's root"
 
 

@@ -1,6 +1,6 @@
 """The takedown pack: what is sent to a platform about a copy, as one ZIP. The same claim and words give the same bytes.
 
-Pictures of an unmarked original have no place in it (`PICTURES`): it goes to strangers.
+Pictures of an unmarked original have no place in it (`PICTURES`): it goes to third parties.
 """
 
 import io
@@ -39,7 +39,7 @@ _SINCE = (1980, 1, 1, 0, 0, 0)
 
 
 def shown_in_pack(pictures: Mapping[str, Any]) -> list[str]:
-    """Names of the pictures of a claim that may be shown to strangers."""
+    """Names of the pictures of a claim that third parties may see."""
     return [name for name in PICTURES if name in pictures and (name == "suspect" or "asset" in pictures)]
 
 
@@ -53,7 +53,7 @@ def make_pack(
     if reason := no_pack(document):
         raise Problem("conflict", f"{reason}, so there is nothing to take down")
     if pictures.keys() != set(shown_in_pack(pictures)):
-        raise ValueError(f"not to be shown to strangers: {sorted(pictures)}")
+        raise ValueError(f"not for third parties: {sorted(pictures)}")
     issuer, digests = document.get("issuer") or {}, document["pictures"]
     owner = (document.get("owner") or {}).get("name", "")
     address = issuer.get("address") or "[address of the service that issued the claim]"

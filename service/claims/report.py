@@ -37,7 +37,7 @@ CAPTIONS = {
 }
 
 BEFORE = (
-    "Where on the registered model the mark was found: orange speaks for the mark, blue against it, grey says nothing."
+    "Where on the registered model the mark was found: orange is evidence for the mark, blue against it, grey neither."
     " Each patch sums many secret positions, so none can be read off."
 )
 """Of the map in claims of before, which knew no regions."""

@@ -137,7 +137,7 @@ class RegionCounts(_Part):
 
 
 class Derivation(_Part):
-    """Whether the suspect was made from the asset; stands whatever became of the mark."""
+    """Whether the suspect was made from the asset, independent of the mark."""
 
     derived: bool
     share: float | None = Field(description="Share of the registered model's Gaussians found in the suspect.")

@@ -1,4 +1,4 @@
-"""Addresses under which strangers see a claim for a time: a token each, of which only the digest is kept."""
+"""Addresses that show a claim to anyone for a time: a token each, of which only the digest is kept."""
 
 import json
 import secrets

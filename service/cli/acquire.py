@@ -77,7 +77,7 @@ def acquire(
             raise InputError(f"{stamped.failure}; {out} is written without one")
         with whole_file(out.with_name(f"{out.name}.tsr")) as part:
             part.write_bytes(stamped.token)
-    console.say(f"{out}: {report['bytes']:,} bytes {'from ' + source if fetched else 'as handed in'}")
+    console.say(f"{out}: {report['bytes']:,} bytes {'from ' + source if fetched else 'from a file'}")
     console.say(f"  SHA-256 of the suspect {report['payload_sha256']}")
     console.say(f"  SHA-256 of the WARC    {report['warc_sha256']}")
     console.emit(report)

@@ -35,7 +35,7 @@ class Stored(Protocol):
 class Fault:
     """Something that was altered."""
 
-    index: int | None  # in the log; None for a row that no entry speaks of
+    index: int | None  # in the log; None for a row without an entry
     code: str  # entry, chain, gap, tree, asset, claim, signature or file
     text: str
 

@@ -67,7 +67,7 @@ async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Receiv
 async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
     """The row of an upload with the bytes of a request added; once it is complete, with what the file is.
 
-    A request that breaks off leaves what came of it, where the upload's size says that more is to come.
+    A request that breaks off leaves the bytes received, where the upload's size says that more is to come.
     """
     room = await asyncio.to_thread(store.room, service, row)
     with service.blobs.new_file() as path:

@@ -105,7 +105,7 @@ def _others(found: VerifyAnswer[Candidate]) -> list[Reply]:
 
 
 def _report(found: VerifyAnswer[Candidate]) -> Reply:
-    """The part of the reply that speaks of the best candidate."""
+    """The part of the reply about the best candidate."""
     names = ("asset", "claim", "record", "attested", "drawing", "registered_message")
     nothing: Reply = dict.fromkeys(names) | {"files": {}, "regions": None}
     best = found.best

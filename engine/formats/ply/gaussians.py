@@ -31,7 +31,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3; degree 4 up
     to degree 3.
 
-    Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs``, ``filter_fused`` and what
+    Repairs report ``extra_properties``, ``extra_elements``, ``flat_discs``, ``filter_fused`` and what
     `engine.formats.ply.dialects` translates, too. FormatError if the bytes are not what the header says, or a property
     is missing or holds whole numbers; UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians
     move or lie in codebooks.

@@ -62,7 +62,7 @@ def evaluate(
         Path | None, typer.Option("--lpips-weights", help="File with the weights of LPIPS. (perceptual)")
     ] = None,
     workers: Annotated[
-        int, typer.Option("--workers", min=1, help="Local processes. Timings want 1, on a quiet machine.")
+        int, typer.Option("--workers", min=1, help="Local processes. Timings need 1, on an idle machine.")
     ] = 1,
     dask: Annotated[
         str | None, typer.Option("--dask", metavar="ADDRESS", help="Run on an existing Dask cluster instead.")

@@ -31,7 +31,7 @@ def run_cells(
     folder : Path
         Gets one ``<cell>.json`` for each, complete or not at all.
     workers : int
-        Local processes; 1 runs in this one. Timings want 1.
+        Local processes; 1 runs in this one. Timings need 1.
     dask : str, optional
         Address of a scheduler whose workers see the same files under the same paths.
     tell : callable, optional

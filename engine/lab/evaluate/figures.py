@@ -69,7 +69,7 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The settings in force while a figure is drawn: titles and legends ask for theirs when they are added."""
+    """The settings in force while a figure is drawn: titles and legends read theirs when they are added."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):

@@ -31,7 +31,7 @@ __all__ = ["BITS", "LEAST_MATCHES", "attack_baseline", "attack_ours"]
 
 BITS = 32
 LEAST_MATCHES = 26
-"""Of 32 bits: what the field's usual test at 1e-3 asks for, if wrong keys read fair and independent bits."""
+"""Of 32 bits: what the field's usual test at 1e-3 requires, if wrong keys read fair and independent bits."""
 QUICK_ATTACKS = ("none", "prune random 20 %", "similarity x10 + shuffle", "JPEG 10")
 
 

@@ -1,8 +1,8 @@
 """Removal with an oracle: an attacker who may ask "is the mark still there?" walks along the edge of the verdict.
 
 HopSkipJump (Chen, Jordan and Wainwright, IEEE S&P 2020), which needs nothing but yes and no: find the edge between the
-marked model and one that no longer claims, ask about small random moves around it, go the way that most of the
-unclaimed ones went, come back to the edge nearer to the marked model. What a question tells of a mark of C chips is
+marked model and one that no longer claims, query small random moves around it, move in the mean direction of the
+unclaimed ones, come back to the edge nearer to the marked model. What a question reveals of a mark of C chips is
 about one part in the root of C of its direction, so a budget of questions buys little; this measures how little.
 
 The oracle is the verification that the service runs; it reveals its verdict, and no number. Moves are drawn in all that

@@ -194,7 +194,7 @@ def ask_oracle(path: str, repeats: int, quick: bool, seed: int) -> list[Row]:
 
     The attacker is given the code vectors. A detector that tells z leaks its chips: the sum of patterns, each times
     its z, grows by the square root of the questions. One that says only whether the mark is there says the same of
-    every pattern, and so nothing. (Who holds a marked copy can still walk along the edge of the verdict.)
+    every pattern, and so nothing. (The holder of a marked copy can still walk along the edge of the verdict.)
     """
     opened = fast_mark(path, quick, seed).opened
     secret = (opened.spreading.chips * opened.message[opened.spreading.bit_of]).astype(np.float64)

@@ -21,7 +21,7 @@ from engine.lab.evaluate.tables.sections.table6 import PAPER as LOSSES_BY_NAME
 from engine.lab.evaluate.tables.stopping import TAUS
 
 MODEL_ATTACKS = ("clone", "prune")
-"""Columns of Table 2 that are said of models; all others of pictures."""
+"""Columns of Table 2 that are about models; all others are about pictures."""
 
 
 @dataclass(frozen=True)

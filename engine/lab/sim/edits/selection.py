@@ -99,7 +99,7 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
 def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bool:
     """(N,) bool: Gaussians of the segments (see `segment`) in which points (3,) or (n, 3) lie.
 
-    Each point speaks for the segment of the nearest Gaussian.
+    Each point stands for the segment of the nearest Gaussian.
     """
     from scipy.spatial import cKDTree
 
