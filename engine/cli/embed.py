@@ -121,7 +121,7 @@ def embed(
     cannot be tried out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
     where verify gets that service's certificate (--tsa-certificates). Only a
     digest is sent. Each run draws another watermark: mark further copies with
-    --earlier, or two watermarks give each other away.
+    --earlier, or comparing the files reveals both.
     """
     console = Console(json)
     began = time.perf_counter()
@@ -180,8 +180,8 @@ def embed(
         _say(console, report, model)
     if tsa is not None and earlier is None:
         console.say(
-            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another one is drawn,"
-            " and two give each other away to anyone who compares the files."
+            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another watermark is drawn,"
+            " and anyone who compares the files can find both."
         )
     console.emit(reports[0] if len(reports) == 1 else {"copies": reports})
     return 0

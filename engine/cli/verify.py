@@ -124,7 +124,7 @@ def verify(
     if regions is not None:
         check_folder(regions)
         if original is not None:
-            raise InputError("--regions needs a scene that stands still: leave --original out")
+            raise InputError("--regions needs a static scene: leave --original out")
 
     from engine.flows.verify.search import VerifyConfig
     from engine.present.numerals import PLAIN

@@ -153,7 +153,7 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     """
     committed = opened.commitments.get(COMMITMENT)
     if committed is None:
-        raise InputError("this record is of a scene that stands still: it commits to no moving original")
+        raise InputError("this record is of a static scene: it commits to no moving original")
     if committed != original.digest():
         raise InputError(f"this is not the original the record commits to: {original.digest()[:16]}... given")
     posed = original.at(time).with_(sh=opened.reference.sh)

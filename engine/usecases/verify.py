@@ -46,7 +46,7 @@ class VerifyRequest(Generic[C]):
 
     def __post_init__(self) -> None:
         if self.original is not None and self.regions is not None:
-            raise InputError("regions are located in a scene that stands still: give no original")
+            raise InputError("regions are only located in a static scene: give no original")
         if self.original is not None and len(self.candidates) != 1:
             raise InputError(f"an original belongs to one record, got {len(self.candidates)}")
 

@@ -110,7 +110,7 @@ MEASUREMENTS = {
         scenes="with another",
     ),
     "collusion": Measurement(
-        "buyers who put their copies together: who is named, and whether an innocent is",
+        "collusion: which of the colluding buyers are named, and whether an innocent one is",
         "truth:measure_collusion",
         ("innocents",),
     ),

@@ -173,7 +173,7 @@ def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[R
     drawing = Drawing(
         "false-claims",
         partial(null_figures.draw_false_claims, groups, add_up(wrong, "wrong detector"), title),
-        "Share of wrong keys that reach each stated bound. Where nothing is drawn no key came so far.",
+        "Share of wrong keys that reach each stated bound. Where nothing is drawn, no key reached it.",
     )
     return Section("False claims", [text], [shown], [drawing])
 
