@@ -53,7 +53,10 @@ def defocused(image: Float32, sigma: float) -> Float32:
     return to_8_bit(cv2.GaussianBlur(image, (0, 0), sigma))
 
 
-@pytest.mark.parametrize(("blur", "strength", "page"), [(moved, 10.0, 0.0), (moved, 15.0, 1.0), (defocused, 3.0, 1.0)])
+@pytest.mark.parametrize(
+    ("blur", "strength", "page"),
+    [pytest.param(moved, 10.0, 0.0, marks=pytest.mark.long), (moved, 15.0, 1.0), (defocused, 3.0, 1.0)],
+)
 def test_a_blurred_picture_claims_by_itself(
     with_landmarks: OpenedRecord,
     scene: MarkedScene,
@@ -76,6 +79,7 @@ def test_a_blurred_picture_claims_by_itself(
     assert read.claim.z > 1.5 * before.claim.z
 
 
+@pytest.mark.long
 def test_a_known_camera_reads_no_less_than_a_found_one(
     with_landmarks: OpenedRecord, sharp: Float32, camera: Camera
 ) -> None:
@@ -99,7 +103,7 @@ def test_what_is_not_blurred_is_read_as_before(
         assert one.claim.notes == ()
 
 
-@pytest.mark.parametrize("cameras", ["known", "found"])
+@pytest.mark.parametrize("cameras", ["known", pytest.param("found", marks=pytest.mark.long)])
 def test_a_blurred_jpeg_is_read_through_its_coder_and_its_blur(
     with_landmarks: OpenedRecord, sharp: Float32, camera: Camera, monkeypatch: pytest.MonkeyPatch, cameras: str
 ) -> None:

@@ -72,6 +72,7 @@ def test_a_scene_of_few_gaussians_is_no_crash(plant: GaussianModel) -> None:
         choose_for(plant.take(np.arange(63)), 16)
 
 
+@pytest.mark.long
 def test_an_embedding_that_chose_is_the_embedding_of_what_it_chose(plant: GaussianModel) -> None:
     """Same bytes with settings left open and named; what was rehearsed on is not looked at again."""
     key, auto = bench_key(1), Auto(profile("fast", landmark_views=0))

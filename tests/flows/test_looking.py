@@ -74,6 +74,7 @@ def test_sightings_of_both_hands_are_never_of_one_place() -> None:
     assert [id(s) for s in looking._most_agreeing(mixed)] == [id(s) for s in mixed[1:]]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_another_scene_is_not_recognised(model: GaussianModel, landmarks: Landmarks) -> None:
     assert place_by_looking(made_up(1, degree=0), model, landmarks) is None

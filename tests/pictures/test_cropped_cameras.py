@@ -35,7 +35,7 @@ def test_where_the_middle_was_is_found_when_a_part_was_cut_off(
     np.testing.assert_allclose(found.camera.K[:2, 2], K[:2, 2], atol=8.0)
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("mirrored", [pytest.param(False, marks=pytest.mark.long), True])
 def test_what_is_around_a_viewer_does_not_mislead(plant: GaussianModel, bank: Landmarks, mirrored: bool) -> None:
     """A page around a viewer in which the model is larger than fits."""
     true = around(plant, 48, 33, 0.8, 0.9)

@@ -91,6 +91,7 @@ def test_foreign_scenes_have_no_piece_of_the_reference(plant: ReferenceIndex) ->
         assert got.derived_fraction == 0
 
 
+@pytest.mark.long
 def test_the_mark_itself_is_no_part_of_the_match(plant: ReferenceIndex) -> None:
     """Two opposite marks are matched nearly alike, and chance differences do not know the sign."""
     rng = np.random.default_rng(0)
@@ -105,6 +106,7 @@ def test_the_mark_itself_is_no_part_of_the_match(plant: ReferenceIndex) -> None:
     assert differing.mean() < 0.001
 
 
+@pytest.mark.long
 def test_same_seed_same_answer(plant: ReferenceIndex) -> None:
     suspect = moved(twist(marked(plant.model), 60).take(shuffled(plant.model)))
     first, again = register(plant, suspect, seed=3), register(ReferenceIndex(plant.model), suspect, seed=3)

@@ -155,7 +155,7 @@ def test_useless_rotations():
     check(register(scene(0), moved(relabelled.take(order), "large")), order, "large")
 
 
-@pytest.mark.parametrize(("share", "level"), [(0.3, 0.0), (0.05, 0.0), (0.4, 0.05)])
+@pytest.mark.parametrize(("share", "level"), [(0.3, 0.0), (0.05, 0.0), pytest.param(0.4, 0.05, marks=pytest.mark.long)])
 def test_piece_in_a_foreign_scene(share, level):
     order = near(scene(0), share)
     piece = moved(noised(marked(scene(0)), level).take(order))
@@ -165,7 +165,7 @@ def test_piece_in_a_foreign_scene(share, level):
     check(got, truth, exact=0.97 if level else 0.999, degrees=0.5, scale=0.01, false=0.01)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_unrelated(seed):
     got = register(scene(0), scene(seed, 9000 + seed))
     assert not got.found

@@ -46,14 +46,14 @@ def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
 
 
 def suspects(scene: MarkedScene) -> dict[str, Suspect]:
-    """Marked, unmarked, moved, noised, thinned; two pictures of known cameras, one blurred and one a JPEG."""
-    moved = model_attack("similarity").apply(scene.marked, 4.0, rng=2)
-    noised = model_attack("noise_all").apply(scene.marked, 0.1, rng=2)
-    few = model_attack("prune_random").apply(scene.marked, 0.9, rng=2)
+    """Marked; moved, noised and thinned; two pictures of known cameras, one blurred and one a JPEG."""
+    worn = model_attack("similarity").apply(scene.marked, 4.0, rng=2)
+    for attack, strength in (("noise_all", 0.1), ("prune_random", 0.5)):
+        worn = model_attack(attack).apply(worn, strength, rng=2)
     cameras = make_rig(scene.marked, 2, 320, 320)
     pictures = [np.clip(render(scene.marked, camera), 0.0, 1.0) for camera in cameras]
     pictures[0], pictures[1] = cv2.GaussianBlur(pictures[0], (0, 0), 2.0), as_jpeg(pictures[1])
-    models = {"marked": scene.marked, "unmarked": scene.original, "moved": moved, "noised": noised, "thinned": few}
+    models = {"marked": scene.marked, "worn": worn}
     return {name: Suspect(model) for name, model in models.items()} | {"pictures": Suspect(None, pictures, cameras)}
 
 

@@ -156,6 +156,7 @@ def house(tmp_path: Path, stamps: Stamps) -> Iterator[House]:
     made.service.close()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_copies_are_drawn_for_once_and_claim_at_chance_rate(house: House, stamps: Stamps) -> None:
     before, rows = stamps.given, [house.embed("a")]

@@ -25,6 +25,7 @@ def drawn(folder: Path, name: str) -> np.ndarray:
         return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
 
 
+@pytest.mark.long
 def test_the_marked_model_is_drawn_again_from_its_record(marked: Marked) -> None:
     opened = open_record(marked.path("record").read_bytes(), OwnerKey(bytes.fromhex(KEY)))
     again, published = mark_again(opened), read_model(marked.path("model")).model
