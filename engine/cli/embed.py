@@ -180,8 +180,8 @@ def embed(
         _say(console, report, model)
     if tsa is not None and earlier is None:
         console.say(
-            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another watermark is drawn,"
-            " and anyone who compares the files can find both."
+            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another watermark is"
+            " drawn, and anyone who compares the files can find both."
         )
     console.emit(reports[0] if len(reports) == 1 else {"copies": reports})
     return 0
