@@ -4,8 +4,7 @@
    names it any more and it is older than an upload may be.
 2. The job engine's database, then ours, each by SQLite's online backup: one moment of it, while writers continue.
    Ours is the later moment. So a job that the engine's copy does not know is enqueued again, and one that has ended
-   meanwhile finds nothing left to do. The other way round it would be taken for one that ended without a word, and
-   fail.
+   meanwhile finds nothing left to do. The other way round it would be taken for one without a result, and fail.
 3. The stored files that came since. What the databases name and 1 has not copied is younger than this backup, and no
    tidying up takes it.
 4. The master key's file, and whatever else lies in the data folder.

@@ -30,6 +30,8 @@ from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.trust.canonical import canonical, digest
 from service.trust.commitments import ACQUISITION_MADE, ASSET_REGISTERED, CLAIM_ISSUED, acquisition_facts, claim_digest
 
+UNTRUSTED = "no trusted certificate was given"
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -236,7 +238,7 @@ def _stamp(
         at = stamped_at(token, jws.encode())
     except TimestampFault as fault:
         return Check("timestamp", Status.FAIL, str(fault))
-    text = f"A time stamp of {at} is there; its author was not checked: no trusted certificate was given."
+    text = f"A time stamp of {at} is there; its author was not checked: {UNTRUSTED}."
     return Check("timestamp", Status.NOT_CHECKED, text)
 
 
@@ -259,7 +261,7 @@ def _drawing(
             return Check("drawing", Status.PASS, text)
     except (TimestampFault, ValueError) as fault:
         return Check("drawing", Status.FAIL, str(fault))
-    text = "The rate rests on a time stamp; its author was not checked: no trusted certificate was given."
+    text = f"The rate rests on a time stamp; its author was not checked: {UNTRUSTED}."
     return Check("drawing", Status.NOT_CHECKED, text)
 
 
@@ -281,10 +283,9 @@ def _acquisition(
         return Check("acquisition", Status.FAIL, "the acquisition was logged before it was made")
     if acquired["payload_sha256"] not in document["subject"]["sha256"]:
         return Check("acquisition", Status.FAIL, "the file that was acquired is not the suspect")
-    origin = f"The suspect is the file that was {'fetched' if acquired['url'] else 'uploaded'} on {acquired['at']}"
-    origin += (
-        f" from {acquired['url']}, as the service states" if acquired["url"] else "; only its owner knows its origin"
-    )
+    url = acquired["url"]
+    origin = f"The suspect is the file that was {'fetched' if url else 'uploaded'} on {acquired['at']}"
+    origin += f" from {url}, as the service states" if url else "; only its owner states its origin"
     if acquired["timestamp"] is None:
         text = f"{origin}; only the service states that it existed by then: its log has it on {entry['at']}."
         return Check("acquisition", Status.NOT_CHECKED, text)
@@ -296,10 +297,8 @@ def _acquisition(
     if certificates:
         text = f"{origin}; {authority_of(token)} attests that it existed on {at}{_kind(token, listed)}."
         return Check("acquisition", Status.PASS, text)
-    text = (
-        f"{origin}; a time stamp says that it existed on {at}; its author was not checked: no trusted certificate was"
-    )
-    return Check("acquisition", Status.NOT_CHECKED, f"{text} given.")
+    text = f"{origin}; a time stamp says that it existed on {at}; its author was not checked: {UNTRUSTED}."
+    return Check("acquisition", Status.NOT_CHECKED, text)
 
 
 def _canonical_or_none(value: Any) -> bytes | None:

@@ -43,8 +43,7 @@ class Measurement:
 
     def cells(self, name: str, options: Options) -> list[Cell]:
         """One cell a scene, or one for all."""
-        taken = (*self.reported, *self.unreported)
-        shared = {option: _value(option, options) for option in taken} | {"seed": options.seed}
+        shared = {name: _value(name, options) for name in (*self.reported, *self.unreported)} | {"seed": options.seed}
         work, scenes = f"engine.lab.evaluate.bench.{self.work}", list(options.scenes)
         if self.scenes == "together":
             return [Cell(name, work, {"scenes": scenes, **shared})]

@@ -185,7 +185,7 @@ def _prediction_section(known: Sequence[Result]) -> Section:
         ],
         drawings=[
             Drawing(
-                "predictions", partial(draw_predictions, known), "z of the worst attacked picture: predicted, measured."
+                "predicted", partial(draw_predictions, known), "z of the worst attacked picture: predicted, measured."
             )
         ],
     )
