@@ -184,9 +184,7 @@ def _prediction_section(known: Sequence[Result]) -> Section:
             f"{fmean(ratios):.2f} (95 %: {low:.2f} to {high:.2f})."
         ],
         drawings=[
-            Drawing(
-                "predicted", partial(draw_predictions, known), "z of the worst attacked picture: predicted, measured."
-            )
+            Drawing("predicted", partial(draw_predictions, known), "Worst attacked picture's z: predicted, measured.")
         ],
     )
 
