@@ -77,7 +77,7 @@ class WrongKeyError(RecordError):
 
 
 class CapacityError(Mark3DGSError):
-    """The planner refuses a message of `wanted` bits: the scene can carry `capacity` at the asked fidelity."""
+    """The planner refuses a message of `wanted` bits: the scene can carry `capacity` at the fidelity requested."""
 
     def __init__(self, message: str, *, wanted: int, capacity: int) -> None:
         super().__init__(message)

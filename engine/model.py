@@ -1,4 +1,4 @@
-"""The two nouns everything speaks of: a Gaussian model and a camera. See docs/CONVENTIONS.md."""
+"""The two types that everything uses: a Gaussian model and a camera. See docs/CONVENTIONS.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which registered assets may a suspect come from? The index that tells is kept in the data folder of each machine.
+"""Which registered assets may a suspect come from? The index for that is kept in the data folder of each machine.
 
 It is a convenience that can be lost: what it lacks is read from the assets' entries, and when that is much, it is
 written anew. Copies of one original are one asset to it.
@@ -32,9 +32,9 @@ def screen(
 ) -> list[Any]:
     """The rows of `assets`, of those given, that a suspect (`model`, or `images`) may come from, the likeliest first.
 
-    Those alike, or else, where asked for, the few that are likeliest; and those whose entry cannot be read or says
-    nothing, since it does not rule them out. Where there are any, and the suspect names a `plain` file, its model lies
-    under that name in the step's folder.
+    Those alike, or else, if `likely`, the few that are likeliest; and those whose entry cannot be read or says nothing,
+    since it does not rule them out. Where there are any, and the suspect names a `plain` file, its model lies under
+    that name in the step's folder.
     """
     if not rows:
         return []

@@ -39,7 +39,7 @@ def hold(data_dir: Path, name: str, patience: float = 0.0) -> IO[str]:
             text = (
                 f"{name!r} is already at work in {data_dir}: {holder}. Stop it first; 'serve --workers 0', and 'worker'"
             )
-            raise InputError(f"{text} under another name, can run beside it") from None
+            raise InputError(f"{text} under another name, can run as well") from None
         except OSError as error:
             _log.warning("%s cannot be locked (%s): run no second 'mark3dgs serve' in it", data_dir, error.strerror)
         file.truncate(0)

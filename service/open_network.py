@@ -1,4 +1,4 @@
-"""Addresses that a stranger chose: where they lead, if that is on the open network.
+"""Addresses that a tenant chose: where they lead, if that is on the open network.
 
 A name is resolved once, every address it has is looked at, and the connection goes to one of these: a name that
 resolves otherwise a moment later changes nothing.

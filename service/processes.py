@@ -68,7 +68,7 @@ Reply = dict[str, Any]
 
 
 class Cancelled(Exception):
-    """The task was not to go on; its process was ended."""
+    """The task was cancelled; its process was ended."""
 
 
 class Stopped(Exception):
@@ -301,14 +301,14 @@ def _parse(line: bytes) -> dict[str, Any]:
             return said
     except ValueError:
         pass
-    _log.error("a task's process said something that is no answer: %r", line[:200])
-    raise Problem("internal", "the work gave an answer that cannot be read")
+    _log.error("a task's process sent an invalid message: %r", line[:200])
+    raise Problem("internal", "the work sent a message that cannot be read")
 
 
 def _tell(process: subprocess.Popen[bytes], answer: Answer | None, question: str) -> None:
-    """Answer what a task asked; one that is gone by then is found dead later."""
+    """Answer a task's question; a task that is gone by then is found dead later."""
     if answer is None:
-        raise Problem("internal", "the work asked something that nobody here can answer")
+        raise Problem("internal", "the work asked a question, but this task has no answers")
     line = json.dumps({"answer": answer(question)}).encode() + b"\n"
     with suppress(BrokenPipeError):
         stdin = _pipe(process.stdin)

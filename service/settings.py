@@ -27,7 +27,7 @@ class Settings(BaseSettings):
     )
     workers: int = Field(1, ge=0, le=64, description="Worker processes that `serve` starts.")
     worker_silence_seconds: float = Field(
-        15.0, gt=0, description="A worker not heard of for this long is given up; others take over its jobs."
+        15.0, gt=0, description="A worker silent for this long is given up; others take over its jobs."
     )
 
     connections: int = Field(
@@ -64,8 +64,8 @@ class Settings(BaseSettings):
     watch_minutes: float = Field(
         60.0,
         ge=0,
-        description="Marks of other owners are looked for in an upload at a random moment within so long after it was"
-        " marked: what its uploader sees of the queue tells nothing of them.",
+        description="Marks of other owners are searched for in an upload, at a random moment within this time after it"
+        " was marked: the queue, as its uploader sees it, reveals nothing of them.",
     )
     queued_jobs: int = Field(200, gt=0, description="Jobs of a tenant that may wait or run at a time.")
     conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")

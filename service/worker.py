@@ -22,8 +22,8 @@ log = logging.getLogger("mark3dgs.worker")
 
 def run_worker(service: Service, name: str, die_with_parent: bool) -> NoReturn:
     """Do jobs until stopped; ends the process."""
-    for beside in (_tidy, deliver_for_ever):
-        threading.Thread(target=beside, args=(service,), daemon=True).start()
+    for task in (_tidy, deliver_for_ever):
+        threading.Thread(target=task, args=(service,), daemon=True).start()
     flows = {"embed": embed_flow(service), "verify": verify_flow(service), "dispute": dispute_flow(service)}
     flows["watch"] = watch_flow(service)
     Worker(service.settings, flows, service.jobs, name=name, die_with_parent=die_with_parent).run()

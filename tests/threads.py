@@ -1,4 +1,4 @@
-"""The same answer on any number of threads: asked for once with one, once with two."""
+"""The same answer on any number of threads: computed once with one, once with two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mark3dgs attest`: somebody else's word on when a record existed, put into its file."""
+"""`mark3dgs attest`: a third party's statement on when a record existed, put into its file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from engine.usecases.files import check_target, read_bytes, refuse_same, whole_f
 def attest(
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record of an embedding.")],
     tsa: Annotated[
-        str | None, typer.Option("--tsa", metavar="URL", help="Ask this time-stamping service (RFC 3161).")
+        str | None, typer.Option("--tsa", metavar="URL", help="Get a time stamp from this service (RFC 3161).")
     ] = None,
     query: Annotated[
         Path | None, typer.Option("--query", metavar="OUT", help="Write the query, to send it by other means.")

@@ -1,4 +1,4 @@
-"""What the commands say: results on stdout, the rest on stderr; for machines JSON instead of both."""
+"""Output of the commands: results on stdout, the rest on stderr; for machines JSON instead of both."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Console:
             sys.stdout.flush()
 
     def note(self, text: str) -> None:
-        """A line beside the result, on stderr."""
+        """A line on stderr, no part of the result."""
         if not self.machine:
             sys.stderr.write(text + "\n")
             sys.stderr.flush()

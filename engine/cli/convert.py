@@ -1,4 +1,4 @@
-"""`mark3dgs convert`: a model in another format, with a word on what that cannot hold."""
+"""`mark3dgs convert`: a model in another format, with a note on what that cannot hold."""
 
 from __future__ import annotations
 

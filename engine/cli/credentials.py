@@ -1,4 +1,4 @@
-"""`mark3dgs credentials`: a model's Content Credentials (C2PA), signed by whoever publishes it."""
+"""`mark3dgs credentials`: a model's Content Credentials (C2PA), signed by its publisher."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def sign(
 ) -> int:
     """Sign a manifest that says: this file, marked, with this mark as soft binding.
 
-    A .sog takes the manifest up, and stays readable everywhere. The standard has
-    no place for one in the other formats: theirs is a file beside the model,
-    with the same name and the ending .c2pa. Sign last: whatever changes the file
-    breaks the manifest. Nothing of owner key, recipient or original is in it.
-    Whether the mark is in the model is not looked at: 'mark3dgs verify' does.
+    A .sog holds the manifest itself, and stays readable everywhere. The standard
+    has no place for one in the other formats: theirs is a sidecar file, with the
+    same name and the ending .c2pa. Sign last: any change of the file breaks the
+    manifest. Nothing of owner key, recipient or original is in it. Whether the
+    mark is in the model is not checked: 'mark3dgs verify' does that.
 
     Examples:
 
@@ -53,14 +53,14 @@ def sign(
     console = Console(json)
     from engine.credentials.manifest import EMBEDS, SIDECAR
     from engine.credentials.signer import read_signer
-    from engine.credentials.signing import sign_beside, sign_into
+    from engine.credentials.signing import sign_into, sign_sidecar
     from engine.formats.model_reading import read_model
     from engine.records.file import read_header
 
     refuse_same(model, out)
     check_target(out)
     if out.suffix.lower() not in (f".{EMBEDS}", SIDECAR):
-        raise InputError(f"{str(out)!r} must end in .{EMBEDS}, or in {SIDECAR} for a manifest beside the model")
+        raise InputError(f"{str(out)!r} must end in .{EMBEDS}, or in {SIDECAR} for a sidecar file")
     signer = read_signer(certificates, private_key)
     record_id = read_header(read_bytes(record, "record")).record_id
     with console.progress() as progress:
@@ -71,16 +71,16 @@ def sign(
     inside = kind == EMBEDS
     if inside != (out.suffix.lower() == f".{EMBEDS}"):
         where = (
-            f"takes its manifest up: OUT must end in .{EMBEDS}"
+            f"holds its manifest itself: OUT must end in .{EMBEDS}"
             if inside
-            else f"has it beside: OUT must end in {SIDECAR}"
+            else f"takes a sidecar file: OUT must end in {SIDECAR}"
         )
         raise InputError(f"{str(model)!r} is {kind}, which {where}")
     with whole_file(out) as part:
         if inside:
             made = sign_into(model, part, record_id, signer)
         else:
-            made = sign_beside(model, kind, record_id, signer)
+            made = sign_sidecar(model, kind, record_id, signer)
             part.write_bytes(made.store)
     report = {
         "model": str(model),
@@ -96,27 +96,27 @@ def sign(
     console.say(f"  manifest    {made.id}, {len(made.store):,} bytes")
     console.say(f"  bound to    record {record_id}")
     if not inside and out != model.with_suffix(SIDECAR):
-        console.note(f"Others look for it at {model.with_suffix(SIDECAR).name}, beside the model.")
+        console.note(f"Other programs look for it at {model.with_suffix(SIDECAR).name}, in the model's folder.")
     console.emit(report)
     return 0
 
 
 @app.command("trial")
 def trial(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Who signs, as the certificate says.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the signer in the certificate.")],
     certificates: Certificates,
     private_key: PrivateKey,
     authority: Annotated[
-        Path, typer.Option("--authority", metavar="PEM", help="Certificate of the authority: who trusts it, trusts it.")
+        Path, typer.Option("--authority", metavar="PEM", help="Certificate of the authority that issues the signer's.")
     ],
     days: Annotated[int, typer.Option("--days", metavar="N", help="How long the certificate is valid.")] = 90,
     json: Json = False,
 ) -> int:
-    """Make a certificate of one's own, to try Content Credentials without buying one.
+    """Make a self-issued certificate, to try Content Credentials without buying one.
 
-    Writes three files. Nobody else trusts such a signer: to others the manifest
-    holds, and its signer is unknown. For more, have an authority of the C2PA
-    trust list issue a certificate.
+    Writes three files. Such a signer is trusted nowhere else: to others the
+    manifest is valid, and its signer is unknown. To be trusted, have an authority
+    of the C2PA trust list issue a certificate.
 
     Examples:
 

@@ -34,9 +34,9 @@ def dispute(
 ) -> int:
     """Settle who was first, where two parties claim one model.
 
-    Whoever marks a stolen model has a true mark in it, so both claims can hold.
-    Both marks are looked for in both originals: the party whose mark is in the
-    other's original came first. Dates count where somebody else attests them.
+    A thief who marks a stolen model has a true mark in it, so both claims can
+    hold. Each mark is looked for in both originals: the party whose mark is in
+    the other's original came first. Dates count where a third party attests them.
 
     Exit codes: 0 one party came first, 4 the marks do not tell, 2 wrong input.
 

@@ -76,7 +76,7 @@ def embed(
     ] = None,
     earlier: Annotated[
         Path | None,
-        typer.Option("--earlier", metavar="RECORD", help="Of another copy of this model: saves time, see below."),
+        typer.Option("--earlier", metavar="RECORD", help="Record of another copy of this model: faster, see below."),
     ] = None,
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Self-declared time of registration, or 'now'.")
@@ -117,11 +117,11 @@ def embed(
       mark3dgs embed scene.ply initech.ply --key owner.key --copy initech \
         --record initech.record --earlier acme.record
 
-    With --tsa a part of the watermark follows from a time stamp, so that nobody
-    can try records out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
+    With --tsa a part of the watermark follows from a time stamp, so that records
+    cannot be tried out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
     where verify gets that service's certificate (--tsa-certificates). Only a
     digest is sent. Each run draws another watermark: mark further copies with
-    --earlier, or two watermarks give each other away.
+    --earlier, or comparing the files reveals both.
     """
     console = Console(json)
     began = time.perf_counter()
@@ -180,8 +180,8 @@ def embed(
         _say(console, report, model)
     if tsa is not None and earlier is None:
         console.say(
-            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another one is drawn,"
-            " and two give each other away to anyone who compares the files."
+            f"Mark further copies of this model with --earlier {reports[0].record}: otherwise another watermark is"
+            " drawn, and anyone who compares the files can find both."
         )
     console.emit(reports[0] if len(reports) == 1 else {"copies": reports})
     return 0
@@ -189,7 +189,7 @@ def embed(
 
 @dataclass(frozen=True, eq=False)
 class CopyReport(Report):
-    """What `embed --json` tells of one copy."""
+    """What `embed --json` reports of one copy."""
 
     mark: MarkReport
     out: str
@@ -198,7 +198,7 @@ class CopyReport(Report):
     seconds_by_stage: dict[str, float]
 
     def to_json(self) -> Json:
-        """Plain values, those of the mark beside the rest."""
+        """Plain values; the mark's fields stand at the top level."""
         found = super().to_json()
         del found["mark"]
         return self.mark.to_json() | found
@@ -268,7 +268,7 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
 
 
 def _spending(spent: Spent) -> str:
-    """On what an allowance went, for people."""
+    """What an allowance was spent on, for people."""
     allowed = f"{spent.allowed_db:g} dB"
     way = next((way for way in spent.ways if way.sh_degree == spent.sh_degree), None)
     if way is None:

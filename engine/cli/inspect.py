@@ -43,11 +43,11 @@ def inspect(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Say what a model file holds, and what was repaired to read it.
+    """Describe a model file, and list what was repaired to read it.
 
-    Content Credentials (C2PA) in the file, or beside it in one that ends .c2pa,
-    are shown, too. They are their signer's word: whether a mark is there, only
-    'mark3dgs verify' says.
+    Content Credentials (C2PA) in the file, or in its sidecar file (.c2pa), are
+    shown, too. They are their signer's statement: only 'mark3dgs verify' shows
+    whether a mark is there.
 
     Example:
 
@@ -118,7 +118,7 @@ def describe_model(loaded: Loaded) -> Values:
 def _say_credentials(console: Console, found: Credentials) -> None:
     why = found.reason or ", ".join(found.failures)
     console.say(f"  credentials {found.place}: {HOLDS[found.state]}{f' ({why})' if why else ''}")
-    if found.state not in ("Trusted", "Valid"):  # what it says is not to be put down to whoever it names
+    if found.state not in ("Trusted", "Valid"):  # what it says may not come from the signer it names
         return
     when = f", {found.signed_at}" if found.signed_at else ", at a time without attestation"
     console.say(f"  signed by   {found.signer} ({found.issuer}), {found.algorithm}{when}")

@@ -21,7 +21,7 @@ def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") 
     """Compile the kernels of some work where they are not there yet, in so many seconds, and say what is awaited.
 
     That they are there is known by a stamp, without loading one: an empty file of this Python, these sources and this
-    processor. Who trusts a stamp that is out of date waits without having been told; nothing else goes wrong."""
+    processor. With a stamp that is out of date the user waits without this note; nothing else goes wrong."""
     from engine.kernels import kernel_cache
 
     began = time.perf_counter()

@@ -16,7 +16,7 @@ def keygen(
     """Make an owner key: the secret behind every mark and every claim.
 
     Only you can read the file (mode 0600), and it is never overwritten. Keep a
-    backup offline: without the key no mark can be claimed, and whoever has it
+    backup offline: without the key no mark can be claimed, and a thief who has it
     can claim and remove yours. One key serves any number of models.
 
     Example:

@@ -25,6 +25,6 @@ def format_for(path: Path, source: Path | None = None) -> str:
 
 
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
-    """Tell what was mended on loading."""
+    """Report what was repaired on loading."""
     for repair in repairs:
         console.note(f"repaired: {repair.text}")

@@ -17,5 +17,5 @@ SpzFrame = Annotated[
 
 Knobs = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KNOB=VALUE", help="Turn a knob that `mark3dgs config show` lists; repeatable."),
+    typer.Option("--set", metavar="KNOB=VALUE", help="Set an option that `mark3dgs config show` lists; repeatable."),
 ]

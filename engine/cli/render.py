@@ -107,7 +107,7 @@ def render(
 
 
 def choose_camera(model: GaussianModel, camera_file: Path | None, view: int, size: tuple[int, int] | None) -> Camera:
-    """The asked camera: of a file, or of the rig around the model."""
+    """The camera chosen: of a file, or of the rig around the model."""
     from engine.flows.views.camera_rig import make_rig
 
     if camera_file is None:

@@ -1,4 +1,4 @@
-"""`mark3dgs trace`: which of the copies I gave away took part in this suspect?"""
+"""`mark3dgs trace`: which recipients' copies does this suspect derive from?"""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from engine.usecases.suspect import ReadSuspect
 
 SHOWN = 10
-"""Copies listed beside those named."""
+"""Copies listed; all that are named where these are more."""
 
 
 def trace(
@@ -95,9 +95,9 @@ def _files(places: list[Path]) -> list[Path]:
 
 def _lines(found: Tracing) -> list[str]:
     findings, named = found.findings, len(found.named)
-    asked = f"{len(findings)} {'copy' if len(findings) == 1 else 'copies'} asked about"
+    tested = f"{len(findings)} {'copy' if len(findings) == 1 else 'copies'} tested"
     names = ", ".join(repr(finding.copy) for finding in found.named)
-    lines = [f"NAMED: {names}; {asked}." if named else f"NOBODY NAMED; {asked}.", ""]
+    lines = [f"NAMED: {names}; {tested}." if named else f"NONE NAMED; {tested}.", ""]
     lines.append(f"{'copy':<28}{'z':>8}  {'false claim':>12}  {'asset found':>11}  record")
     for finding in findings[: max(SHOWN, named)]:
         share = finding.derived_fraction

@@ -1,4 +1,4 @@
-"""Whose word counts: certificates and public keys that the user trusts, read from files."""
+"""Certificates and public keys that the user trusts, read from files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TsaCertificates = Annotated[
 ]
 TrustedList = Annotated[
     Path | None,
-    typer.Option("--trusted-list", help="PEM certificates of a trusted list (eIDAS), to tell qualified time stamps."),
+    typer.Option("--trusted-list", help="PEM certificates of a trusted list (eIDAS), for qualified time stamps."),
 ]
 Jwks = Annotated[
     Path | None, typer.Option("--jwks", help="Public keys of a service whose log is trusted (/.well-known/jwks.json).")
@@ -29,7 +29,7 @@ Jwks = Annotated[
 
 
 def read_trust(certificates: Path | None, jwks: Path | None, listed: Path | None = None) -> Trust:
-    """What the options name; nobody is trusted otherwise."""
+    """What the options name; nothing else is trusted."""
     from engine.records.attestation import Trust
 
     trusted, qualified = (read_certificates(each) if each is not None else [] for each in (certificates, listed))
@@ -62,7 +62,7 @@ def read_certificates(path: Path) -> list[Certificate]:
 
 
 def read_attestation(path: Path) -> Attestation:
-    """A time-stamping service's reply (DER), or a service's signed word on a registration (compact JWS)."""
+    """A time-stamping service's reply (DER), or a service's signed statement of a registration (compact JWS)."""
     from engine.formats.guards import read_small
     from engine.records.attestation import LOG, Attestation, stamp_of
 
@@ -74,5 +74,5 @@ def read_attestation(path: Path) -> Attestation:
 def _each_once(pairs: list[tuple[str, Any]]) -> Json:
     found = dict(pairs)
     if len(found) != len(pairs):
-        raise ValueError("a name stands twice in one object")
+        raise ValueError("a name occurs twice in one object")
     return found

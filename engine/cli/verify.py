@@ -67,7 +67,7 @@ def verify(
     ] = "",
     original: Annotated[
         Path | None,
-        typer.Option("--original", help="Unmarked clip, of a record of a scene that moves: moments are looked for."),
+        typer.Option("--original", help="Unmarked clip, for the record of a moving scene: its moments are searched."),
     ] = None,
     regions: Annotated[
         Path | None,
@@ -94,13 +94,13 @@ def verify(
         typer.Option(
             "--time-budget",
             metavar="SECONDS",
-            help="After so long (of pictures: for each) no further step of the search begins.",
+            help="Time after which no further search step begins; of pictures, for each.",
         ),
     ] = 60.0,
     spz_frame: SpzFrame = "auto",
     json: Json = False,
 ) -> int:
-    """Search a suspect for a mark, and say how sure the answer is.
+    """Search a suspect for a mark, and bound the probability of a false claim.
 
     The suspect may have been moved, cropped, thinned, converted or put into
     another scene; of a picture, neither camera nor focal length need be known.
@@ -124,7 +124,7 @@ def verify(
     if regions is not None:
         check_folder(regions)
         if original is not None:
-            raise InputError("--regions needs a scene that stands still: leave --original out")
+            raise InputError("--regions needs a static scene: leave --original out")
 
     from engine.flows.verify.search import VerifyConfig
     from engine.present.numerals import PLAIN
@@ -134,7 +134,7 @@ def verify(
     from engine.watermark.messages import message_hex
     from engine.watermark.regions import RegionConfig
 
-    located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses a rate that is none, asked for or not
+    located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses an invalid rate even without --regions
     kept = _Record.of(record, key, attestation or (), read_trust(tsa_certificates, jwks))
     config = VerifyConfig(
         false_claim_rate=false_claim_rate,

@@ -1,5 +1,5 @@
-"""Content Credentials (C2PA) of a marked model: signed by whoever delivers it, with the mark as its soft binding.
+"""Content Credentials (C2PA) of a marked model: signed by its publisher, with the mark as its soft binding.
 
-Start at `manifest`. Nothing here decides anything about a mark: a manifest is somebody's signed word, and no verdict
+Start at `manifest`. Nothing here decides anything about a mark: a manifest is its signer's statement, and no verdict
 reads one.
 """

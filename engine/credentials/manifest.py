@@ -1,4 +1,4 @@
-"""What a manifest of ours says, and where one lies: in the ZIP of a .sog, or in a file beside any other model.
+"""What a manifest of ours says, and where one lies: in the ZIP of a .sog, or in a sidecar file of any other model.
 
 C2PA Technical Specification 2.4: 18.10 (soft binding), 18.15 (actions), 11.4 (external manifests), A.6 (ZIP). It has
 no place for a manifest in a GLB, a PLY, a .splat or an SPZ; a chunk of a GLB is a working draft, so these get a file.
@@ -17,8 +17,8 @@ ALG = "io.github.mark3dgs.1"
 """Our algorithm's name for a soft binding, by the rules of the Soft Binding Algorithm List, on which it does not stand.
 
 Its value is the record's id, 16 bytes in base64 (which c2pa writes as text, where the standard has a byte string): a
-keyed hash, from which nothing follows. Whoever has the record reads the mark (extraction is informed) and knows the id;
-nobody else gets it out of a model.
+keyed hash, from which nothing follows. Only with the record can the mark be read (extraction is informed), and so the
+id: it cannot be extracted from a model alone.
 """
 
 EMBEDS = "sog"
@@ -53,7 +53,7 @@ def bound_record(value: str) -> str:
     return found.hex() if len(found) == 16 else ""
 
 
-_STANDARD = str.maketrans("-_ ", "+/+")  # a plus sign that nobody escaped comes out of an address as a space
+_STANDARD = str.maketrans("-_ ", "+/+")  # an unescaped plus sign comes out of an address as a space
 
 
 def describe(record_id: str) -> Json:
@@ -107,8 +107,8 @@ def embedded_manifest(data: bytes, file: str) -> bytes | None:
     return archive.read(EMBEDDED, MOST_BYTES) if archive.has(EMBEDDED) else None
 
 
-def manifest_beside(model: Path) -> bytes | None:
-    """The manifest store in the file beside a model: same name, ending .c2pa. InputError if it is too large."""
+def sidecar_manifest(model: Path) -> bytes | None:
+    """The manifest store in a model's sidecar file: same name, ending .c2pa. InputError if it is too large."""
     path = model.with_suffix(SIDECAR)
     if path == model or not path.is_file():
         return None

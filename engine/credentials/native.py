@@ -1,4 +1,4 @@
-"""The library c2pa: what is asked of it, and what is told of its answers. An optional dependency, loaded on demand."""
+"""The library c2pa: calls of it, and what is kept of its results. An optional dependency, loaded on demand."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from engine.errors import InputError
 from engine.numerics.plain import Json
 
 SETTINGS: Json = {
-    # A manifest may name addresses; nobody learns from us that it is being read.
+    # A manifest may name addresses; none is contacted, so reading it stays private.
     "verify": {"remote_manifest_fetch": False, "ocsp_fetch": False, "verify_trust": True},
     "builder": {"thumbnail": {"enabled": False}},
 }
 MISSING = "Content Credentials need the library c2pa: pip install 'mark3dgs[c2pa]'"
-MOST_TOLD = 16
-"""Entries of a list in a manifest that are told."""
+MOST_ENTRIES = 16
+"""Entries of a list in a manifest that are kept."""
 MOST_CHARACTERS = 200
 
 
@@ -73,7 +73,7 @@ def _told(found: Json) -> Json:
         if label.startswith("c2pa.soft-binding") and isinstance(data, dict)
         for block in _rows(data, "blocks")
     ]
-    told = {
+    kept = {
         "state": found.get("validation_state") or "Invalid",
         "failures": [each.get("code") for each in failures],
         "id": name,
@@ -90,7 +90,7 @@ def _told(found: Json) -> Json:
         "actions": [each.get("action") for each in actions],
         "bindings": bindings,
     }
-    return {key: _plain(value) for key, value in told.items()}
+    return {key: _plain(value) for key, value in kept.items()}
 
 
 def _rows(data: Any, name: str) -> list[Json]:
@@ -101,6 +101,6 @@ def _rows(data: Any, name: str) -> list[Json]:
 def _plain(value: Any) -> Any:
     """A value as text that harms no terminal, shortened; lists as lists of such."""
     if isinstance(value, list):
-        return [_plain(each) for each in value[:MOST_TOLD]]
+        return [_plain(each) for each in value[:MOST_ENTRIES]]
     text = "" if value is None else str(value)
     return "".join(c if c.isprintable() else "?" for c in text[:MOST_CHARACTERS])

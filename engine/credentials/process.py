@@ -24,12 +24,13 @@ def main() -> None:
         if ceiling != resource.RLIM_INFINITY:
             most = min(most, ceiling)
         resource.setrlimit(kind, (most, most))
-    asked = json.load(sys.stdin)
+    request = json.load(sys.stdin)
     try:
-        said = parse(Path(asked["model"]), asked["media_type"], bytes.fromhex(asked["store"]), asked["anchors"])
+        store = bytes.fromhex(request["store"])
+        found = parse(Path(request["model"]), request["media_type"], store, request["anchors"])
     except InputError as error:
-        said = {"reason": str(error)}
-    sys.stdout.write(json.dumps(said))
+        found = {"reason": str(error)}
+    sys.stdout.write(json.dumps(found))
 
 
 if __name__ == "__main__":

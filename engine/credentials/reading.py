@@ -1,4 +1,4 @@
-"""What a model's manifest says, read in a process of its own with limits: the file may be anybody's.
+"""What a model's manifest says, read in a process of its own with limits: the file may be hostile.
 
 Our own bounded readers find the manifest and refuse a large one, before native code sees any of it. What the process
 does, a crash included, leaves the reader of the model alone.
@@ -18,8 +18,8 @@ from engine.credentials.manifest import (
     SIDECAR,
     bound_record,
     embedded_manifest,
-    manifest_beside,
     model_type,
+    sidecar_manifest,
 )
 from engine.credentials.process import SECONDS
 from engine.errors import InputError
@@ -31,24 +31,24 @@ _COMMAND = (sys.executable, "-P", "-m", "engine.credentials.process")
 
 @dataclass(frozen=True)
 class Credentials:
-    """A manifest as it was found. `state` is that of C2PA, or Unread with the `reason`."""
+    """A manifest as it was found. `state` is C2PA's validation state, or Unread with the `reason`."""
 
-    place: str  # embedded, or the name of the file beside the model
+    place: str  # embedded, or the name of the sidecar file
     state: str  # Invalid: altered, or not of this file. Valid: holds. Trusted: and the signer is one you trust. Unread
     reason: str = ""
-    failures: tuple[str, ...] = ()  # codes of C2PA; signingCredential.untrusted of a signer nobody vouched for
+    failures: tuple[str, ...] = ()  # codes of C2PA; signingCredential.untrusted where no trusted authority vouches
     id: str = ""
     generator: str = ""
     signer: str = ""
     issuer: str = ""
     algorithm: str = ""
-    signed_at: str = ""  # as a time stamp says; empty: nobody attests when
+    signed_at: str = ""  # as a time stamp says; empty without one
     actions: tuple[str, ...] = ()
     bindings: tuple[tuple[str, str], ...] = ()  # soft bindings: algorithm, value
 
     @property
     def record_ids(self) -> list[str]:
-        """Records of ours that the manifest names. Somebody's word, no evidence."""
+        """Records of ours that the manifest names: its signer's statement, no evidence."""
         found = (bound_record(value) for alg, value in self.bindings if alg == ALG)
         return [record for record in found if record]
 
@@ -58,7 +58,7 @@ class Credentials:
 
 
 def read_credentials(path: Path, kind: str, anchors: str = "") -> Credentials | None:
-    """The manifest in a model file, else in the file beside it; None where there is none. Never raises for its sake.
+    """The manifest in a model file, else in its sidecar; None where there is none. Never raises for its sake.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def read_credentials(path: Path, kind: str, anchors: str = "") -> Credentials | 
         store = embedded_manifest(path.read_bytes(), str(path)) if kind == EMBEDS else None
         if store is None:
             place = path.with_suffix(SIDECAR).name
-            store = manifest_beside(path)
+            store = sidecar_manifest(path)
         if store is None:
             return None
         found = _ask({"model": str(path), "media_type": model_type(kind), "store": store.hex(), "anchors": anchors})

@@ -1,4 +1,4 @@
-"""Who signs: a certificate chain and its private key, both PEM; and a chain of one's own, for trials.
+"""The signer: a certificate chain and its private key, both PEM; and a self-issued chain, for trials.
 
 C2PA Technical Specification 2.4: 13.2 (algorithms), 14.5 (certificates).
 """
@@ -56,7 +56,7 @@ class Signer:
             first, last = own.not_valid_before_utc, own.not_valid_after_utc
             raise InputError(f"the certificate is valid from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} UTC only")
         if own.issuer == own.subject:
-            raise InputError("the certificate signs itself, which C2PA does not take: it wants one that another issued")
+            raise InputError("the certificate signs itself; C2PA accepts only certificates that another one issued")
         _algorithm(key)
         object.__setattr__(self, "chain", b"".join(each.public_bytes(Encoding.PEM) for each in certificates))
         object.__setattr__(self, "key", key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
@@ -87,9 +87,9 @@ def read_signer(certificates: Path, key: Path) -> Signer:
 
 
 def make_trial_signer(name: str, days: int) -> tuple[Signer, bytes]:
-    """A signer whom nobody knows, and the certificate (PEM) of the authority that issued its own.
+    """A self-made signer, and the certificate (PEM) of the authority that issued the signer's.
 
-    Who trusts that authority finds the signer trusted. Its key is thrown away: it issues nothing else.
+    To trust that authority is to trust the signer. Its key is thrown away: it issues nothing else.
     """
     if not 1 <= len(name) <= 64 or not name.isprintable():  # RFC 5280, A.1: ub-common-name
         raise InputError(f"the name must have 1 to 64 printable characters, got {name!r}")

@@ -1,4 +1,4 @@
-"""A manifest of a marked model, signed: in the model where its format has a place for it, else for a file beside."""
+"""A manifest of a marked model, signed: in the model where its format has a place for it, else for a sidecar file."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def sign_into(source: Path, target: Path, record_id: str, signer: Signer) -> Man
     return _checked(target, EMBEDS, store)
 
 
-def sign_beside(source: Path, kind: str, record_id: str, signer: Signer) -> Manifest:
-    """The manifest of a model of any format but .sog, for a file beside it (same name, ending .c2pa).
+def sign_sidecar(source: Path, kind: str, record_id: str, signer: Signer) -> Manifest:
+    """The manifest of a model of any format but .sog, for a sidecar file (same name, ending .c2pa).
 
     InputError as `sign_into`.
     """

@@ -15,7 +15,7 @@ from engine.formats.strays import unheld_rows
 from engine.model import GaussianModel
 
 _SAY_NOTHING = ("splat", "spz", "glb")
-"""Formats without a word for discs; all but the bit of SPZ have none for antialiasing either."""
+"""Formats that cannot declare discs; all but SPZ, which has a bit, cannot declare antialiasing either."""
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
@@ -42,7 +42,7 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
     if format in _SAY_NOTHING and format != "spz" and mode_of(model) == ANTIALIASED:
         notes.append(
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
-            " far too heavily unless told; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
+            " far too heavily unless set to it; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
     strays = np.flatnonzero(unheld_rows(model, format))
     if len(strays):

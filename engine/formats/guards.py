@@ -1,4 +1,4 @@
-"""What is checked before a stranger's file is read: what it is, and how much it may make the reader allocate."""
+"""What is checked before an untrusted file is read: what it is, and how much it may make the reader allocate."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

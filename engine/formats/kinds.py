@@ -70,7 +70,7 @@ def _read_ksplat(data: bytes, file: str, spz_frame: str) -> Read:
 
 
 def _is_ksplat(data: bytes, file: str) -> bool:
-    """It has no magic either; who calls itself so is taken at its word."""
+    """It has no magic either: the name alone counts."""
     from engine.formats.ksplat import looks_like_ksplat
 
     named = file.lower().endswith(".ksplat") and len(data) > 0

@@ -1,4 +1,4 @@
-"""What people hold for a Gaussian model and is none: what it is, and what to give or export instead."""
+"""Files that are mistaken for a Gaussian model: what they are, and what to give or export instead."""
 
 import re
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _NO_MODEL = "no Gaussian model: give the splat that was made from the same photo
 
 @dataclass(frozen=True)
 class _Other:
-    """One kind of file: told by its first bytes, by its content, or, where neither speaks, by the end of its name."""
+    """One kind of file, recognized by its first bytes, else by its content, else by the end of its name."""
 
     text: str
     starts: tuple[bytes, ...] = ()
@@ -42,7 +42,7 @@ _KINDS = (
     _Other(
         "is a PyTorch checkpoint, which is never opened here (it can run code): export its Gaussians as .ply (gsplat: "
         "gsplat.export_splats, or train with --save_ply; nerfstudio: ns-export gaussian-splat --load-config config.yml "
-        "--output-dir DIR; INRIA: point_cloud/iteration_N/point_cloud.ply beside it)",
+        "--output-dir DIR; INRIA: point_cloud/iteration_N/point_cloud.ply in its folder)",
         holds=_zip_with(b"/data.pkl"),
         endings=(".pt", ".pth", ".ckpt", ".pkl"),
     ),
@@ -59,7 +59,7 @@ _KINDS = (
         (".safetensors", ".h5", ".hdf5", ".onnx"),
     ),
     _Other(
-        "is a scene of XGRIDS (LCC), read with the files beside it: export .ply from LCC Studio, or " + _CONVERTED,
+        "is a scene of XGRIDS (LCC), one file of several: export .ply from LCC Studio, or " + _CONVERTED,
         holds=_json_with(b"totalSplats", b"totalLevel", b"splatType"),
         endings=(".lcc", ".lcc2"),
     ),
@@ -128,10 +128,10 @@ _KINDS = (
 
 
 def advice_for(data: bytes, file: str) -> str | None:
-    """What a file that is none of the formats read here is, and what to do, where its content or its name tells."""
-    told = (
+    """What a file that is none of the formats read here is, and what to do, where its content or its name shows it."""
+    signs = (
         lambda other: data.startswith(other.starts),
         lambda other: other.holds(data),
         lambda other: bool(other.endings) and file.lower().endswith(other.endings),
     )
-    return next((other.text for tells in told for other in _KINDS if tells(other)), None)
+    return next((other.text for fits in signs for other in _KINDS if fits(other)), None)

@@ -48,7 +48,7 @@ class Repair:
 
 
 def degree_dropped(degree: int, count: int) -> Repair:
-    """What is said of harmonics beyond the third degree, which a model cannot hold."""
+    """The note on harmonics beyond the third degree, which a model cannot hold."""
     return Repair("degree_dropped", count, f"harmonics of degree {degree} were read to degree 3: the rest was dropped")
 
 
@@ -69,9 +69,9 @@ def clean(
     calls its list of Gaussians, for messages.
 
     Rows with a NaN, or with a centre, coefficient or scale that is infinite, are dropped; infinite opacities, zero
-    scales, absurd scales and zero quaternions become finite; quaternions become unit vectors. The order is that of the
-    file. The caller's arrays are never written to; those that need no repair are passed on without a copy. FormatError
-    if there is no Gaussian, or none that is usable.
+    scales, absurd scales and zero quaternions become finite; quaternions become unit vectors. The order is the file's.
+    The caller's arrays are never written to; those that need no repair are passed on without a copy. FormatError if
+    there is no Gaussian, or none that is usable.
     """
     means, log_scales, quats, opacity_logits, sh = (
         _float32(array) for array in (means, log_scales, quats, opacity_logits, sh)

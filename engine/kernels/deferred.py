@@ -1,4 +1,4 @@
-"""What kernels are made of, as plain Python until somebody compiles: its text, to know kept code by, and its names."""
+"""What kernels are made of, plain Python until compiled: its text, by which kept code is known, and its names."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -11,10 +11,10 @@ __all__ = ["Deferred", "resolved", "text_of"]
 
 
 class Deferred:
-    """A piece of kernels: `compiled` is what the compiler sees where a kernel names it, made when first asked for."""
+    """A piece of kernels: `compiled` is what the compiler sees where a kernel names it, made at its first use."""
 
     def __init__(self, function: Callable[..., Any], make: Callable[[], Any], facts: tuple[Any, ...] = ()) -> None:
-        """`facts`: what code depends on beside the function's text."""
+        """`facts`: what code depends on in addition to the function's text."""
         self.function = function
         self.facts = facts
         self._make = make

@@ -170,11 +170,11 @@ def side_by_side(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
     A kernel of a millisecond gains nothing by more threads, and what is around it holds Python's lock half the time.
     """
 
-    asked, answers = list(items), dict[int, B]()
+    given, answers = list(items), dict[int, B]()
 
-    def alone(number: int) -> None:
+    def answer(number: int) -> None:
         with use_threads(1):
-            answers[number] = function(asked[number])
+            answers[number] = function(given[number])
 
-    run_turns(alone, len(asked), thread_count())
-    return [answers[number] for number in range(len(asked))]
+    run_turns(answer, len(given), thread_count())
+    return [answers[number] for number in range(len(given))]

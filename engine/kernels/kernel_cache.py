@@ -1,7 +1,7 @@
 """Files of compiled kernels: where they lie, how they are named, and when they are removed.
 
 A file is named by a digest of all that its content depends on, so nothing out of date is ever found, and several
-versions of this program can share a folder. What nobody used for `UNUSED_DAYS` is removed.
+versions of this program can share a folder. What was not used for `UNUSED_DAYS` is removed.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ _ENGINE = Path(__file__).parents[1]
 
 @cache
 def folders() -> tuple[Path, ...]:
-    """Where files are looked for: in NUMBA_CACHE_DIR alone if that is set; else beside this package and in the user's
+    """Where files are looked for: in NUMBA_CACHE_DIR alone if that is set; else in this package and in the user's
     cache, and where neither can be written, in a folder of this user's own among the temporary files."""
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         return (Path(given) / "kernels",)
@@ -42,7 +42,7 @@ def folders() -> tuple[Path, ...]:
         with suppress(OSError):
             temporary.mkdir(mode=0o700, exist_ok=True)
             facts = temporary.lstat()
-            # Code from a folder that somebody else can write to, or has made, would run as this user.
+            # Code from a folder that another user made, or can write to, would run as this user.
             if facts.st_uid == os.getuid() and facts.st_mode & 0o170077 == stat.S_IFDIR:
                 places.append(temporary)
     return tuple(places)
@@ -120,8 +120,8 @@ def write(name: str, content: bytes) -> None:
 
 @cache
 def remove_unused() -> None:
-    """Remove what nobody used for `UNUSED_DAYS`; once a process. Who has it open keeps it, and whose kernel it was
-    compiles it again."""
+    """Remove what was not used for `UNUSED_DAYS`; once a process. A process that has it open keeps it; another compiles
+    it again."""
     for path in (folder() or _ENGINE / "none").glob("*-*.*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > UNUSED_DAYS * _DAY:

@@ -18,7 +18,7 @@ from engine.kernels.machine import module_command
 __all__ = ["calls_native", "verdict"]
 
 BEFORE_NUMBA = (0, 69)
-"""The first version of numba that nobody has tried; `pyproject.toml` has the same bound."""
+"""The first untested version of numba; `pyproject.toml` has the same bound."""
 SECONDS = 300.0
 """After which a comparison has failed: it takes one, on a machine that may be busy."""
 ENDED_BY_OTHERS = (1, -9, -15)
@@ -30,13 +30,13 @@ system ended it (SIGKILL, SIGTERM)."""
 def calls_native() -> bool:
     """Whether kernels are called as machine code. The environment variable MARK3DGS_KERNELS is `auto`, which is the
     default: where it gives what numba gives; or `numba`: never. Mark3DGSError where it is something else."""
-    asked = os.environ.get("MARK3DGS_KERNELS") or "auto"
-    if asked not in ("auto", "numba"):
-        raise Mark3DGSError(f"MARK3DGS_KERNELS is {asked!r}: it can be 'auto' or 'numba'")
-    wrong = "" if asked == "numba" else verdict()
+    setting = os.environ.get("MARK3DGS_KERNELS") or "auto"
+    if setting not in ("auto", "numba"):
+        raise Mark3DGSError(f"MARK3DGS_KERNELS is {setting!r}: it can be 'auto' or 'numba'")
+    wrong = "" if setting == "numba" else verdict()
     if wrong:
         kernel_cache.warn_once("KERNELS", f"kernels start more slowly, by numba alone: {wrong}")
-    return asked == "auto" and not wrong
+    return setting == "auto" and not wrong
 
 
 def verdict() -> str:

@@ -1,8 +1,8 @@
 """Threads that take turns at one piece of work: how parallel kernels run.
 
 Numba's own parallel loops would do the same, but compile each kernel twice over and need a library of the system
-(OpenMP) for more than one caller at a time. A turn here is an ordinary call of a compiled kernel that has let go of
-Python's lock.
+(OpenMP) for more than one caller at a time. A turn here is an ordinary call of a compiled kernel, without Python's
+lock.
 """
 
 import os
@@ -13,7 +13,7 @@ from functools import cache
 from queue import SimpleQueue
 from typing import Any
 
-# Torch's idle OpenMP workers sleep instead of spinning: beside kernels spinning costs 2 to 20 times on a busy machine.
+# Torch's idle OpenMP workers sleep, not spin: while kernels run, spinning costs 2 to 20 times on a busy machine.
 # It must be set before torch starts its pool.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
@@ -33,10 +33,10 @@ def thread_count() -> int:
 @cache
 def _allowed() -> int:
     try:
-        asked = int(os.environ.get("NUMBA_NUM_THREADS", "0"))
+        limit = int(os.environ.get("NUMBA_NUM_THREADS", "0"))
     except ValueError:
-        asked = 0
-    return asked if asked > 0 else usable_cores()
+        limit = 0
+    return limit if limit > 0 else usable_cores()
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def use_threads(count: int) -> Iterator[None]:
 
 
 class _Launch:
-    """One piece of work: its turns are claimed one by one, by whoever comes."""
+    """One piece of work: its turns are claimed one by one, each by the next free thread."""
 
     def __init__(self, turn: Callable[[int], object], turns: int) -> None:
         self._turn, self._left = turn, iter(range(turns))
@@ -62,7 +62,7 @@ class _Launch:
 
     def help(self) -> None:
         """Take turns until none is left."""
-        for number in self._left:  # a step of this iterator holds Python's lock: nobody gets a number twice
+        for number in self._left:  # a step of this iterator holds Python's lock: no number is given twice
             try:
                 self._turn(number)
             except BaseException as error:

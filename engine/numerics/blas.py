@@ -1,6 +1,6 @@
 """One thread for BLAS while an answer is made: a sum split over threads differs in its last digits.
 
-A claim must be the same on any number of cores, and an embedding is faster without a second pool beside numba's. The
+A claim must be the same on any number of cores, and an embedding is faster without a second thread pool. The
 commands say so in OPENBLAS_NUM_THREADS before anything is loaded; this holds it for a program that loaded numpy first.
 """
 

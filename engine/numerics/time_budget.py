@@ -1,8 +1,8 @@
 """How long a search may take: a limit that is looked at between whole steps only.
 
-A step that began is finished and gives what it always gives; a step that would begin after the limit is left out, and
-told. So the clock decides which steps there are, never what one of them says: whatever ends in time is the same to the
-last byte on any machine.
+A step that began is finished and gives what it always gives; a step that would begin after the limit is left out and
+listed. So the clock decides which steps there are, never the result of one: what ends in time is the same to the last
+byte on any machine.
 """
 
 import math
@@ -23,7 +23,7 @@ class TimeBudget:
         self._resting = 0.0
 
     def allows(self, step: str) -> bool:
-        """Whether this step may begin; if not, it is told in `left_out`."""
+        """Whether this step may begin; if not, it is listed in `left_out`."""
         if self._now() < self._end:
             return True
         if step not in self.left_out:

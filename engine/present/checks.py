@@ -18,7 +18,7 @@ CHECKS = {
 """Names of the checks, in the order in which they are made."""
 
 NAMES = CHECKS | {"acquisition": "Acquisition"}
-"""With that of the service's own."""
+"""Names of all checks, the service's own one included."""
 
 OUTCOMES = {True: "holds", False: "does not hold", None: "not decided"}
 
@@ -63,7 +63,7 @@ def checks_of(claim: Mapping[str, Any] | None, error: RecordError | None) -> lis
 
 
 def named(checks: Sequence[Mapping[str, Any]]) -> list[Check]:
-    """Checks with a `name` and an `outcome` for people beside `code` and `ok`."""
+    """Checks with a `name` and an `outcome` for people, in addition to `code` and `ok`."""
     return [
         {**check, "name": NAMES.get(check["code"], check["code"]), "outcome": OUTCOMES[check["ok"]]} for check in checks
     ]

@@ -42,7 +42,7 @@ DEEDS = {
     ),
     "equal originals": (
         "The two originals are equal to rounding: one party got it from the other, or computed it from several marked"
-        " copies. That decides nothing by itself; the dates stand beside it."
+        " copies. That decides nothing by itself; see the dates."
     ),
     "same original": "Both records hold the same original: one party got it from the other.",
 }
@@ -56,7 +56,7 @@ class DisputeWords:
     headline: str
     finding: str
     reasons: tuple[str, ...]
-    looks: tuple[tuple[str, str, str], ...]  # whose mark, where it was looked for, what came of it
+    looks: tuple[tuple[str, str, str], ...]  # whose mark, where it was searched for, the result
     dates: tuple[tuple[str, str], ...]  # whose record, and when it was registered, who says so
     limits: tuple[str, ...]  # what the finding does not say
 

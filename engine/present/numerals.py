@@ -22,7 +22,7 @@ class Form:
         return f"{base}{str(exponent).translate(_RAISED)}" if self.raised else f"{base}^{exponent}"
 
     def name(self, text: str) -> str:
-        """A name that somebody gave, in quotes."""
+        """A name given by a user, in quotes."""
         return f"“{text}”" if self.raised else repr(text)
 
     def odds(self, log10_probability: float) -> str:
@@ -36,7 +36,7 @@ class Form:
         return f"at most {hundredths} in 100" if hundredths < 100 else "no better than chance"
 
     def rate(self, probability: float) -> str:
-        """A small probability that somebody chose: "1 in 10^9"."""
+        """A small probability that was chosen, not measured: "1 in 10^9"."""
         digits, exponent = f"{probability:.1e}".split("e")
         return f"{digits.removesuffix('.0')} in {self.power(10, -int(exponent))}"
 

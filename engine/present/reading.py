@@ -1,4 +1,4 @@
-"""What was read of one registered mark in one suspect: the answer of `verify`, alike on command line, API and page."""
+"""The reading of one registered mark in one suspect: the result of `verify`, alike on command line, API and page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,13 +30,13 @@ class Reading(Report):
     """
 
     verdict: str  # marked, not_marked or inconclusive
-    headline: str  # the same in two or three words
+    headline: str  # the verdict in two or three words
     bits: Bits | None  # as extracted; None where nothing was read
     no_bits: str | None  # why there are none
-    registered_bits: Bits | None  # as the record has them; None where no record is spoken of
+    registered_bits: Bits | None  # as the record has them; None without a record
     matching: int | None  # of the bits that were read, how many are as registered
     bit_accuracy: float | None  # matching / length; pure chance gives about 0.5
-    reliability: list[float] | None  # of each bit, the probability that it was read right; 0.5 is a coin
+    reliability: list[float] | None  # of each bit, the probability that it was read correctly; 0.5 is chance
     z: float | None  # detection statistic; 0 +- 1 without a mark
     hypotheses: int  # tested in this verification; every bound counts them
     log10_false_claim: float  # upper bound on the probability that an unrelated key scores this high, log10
@@ -57,7 +57,7 @@ def reading_of(claim: Mapping[str, Any], registered: str | None) -> Reading:
     claim : mapping
         Members of `Claim.to_json`; `message` and `z` are None where no record could be compared.
     registered : str or None
-        The registered payload, hexadecimal; None where no record is spoken of.
+        The registered payload, hexadecimal; None without a record.
     """
     no_bits = why_no_bits(claim)
     meant, read, sure = (_bits(registered) if registered else None), None, None

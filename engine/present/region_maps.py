@@ -1,6 +1,6 @@
 """The map of a mark: which parts of an asset, of a suspect or of a picture carry it, with a legend that says how sure.
 
-States are drawn, not z: nothing that is shown tells a secret sign, or where one region ends and the next begins.
+States are drawn, not z: nothing that is shown reveals a secret sign, or where one region ends and the next begins.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ COLORS = {
     State.UNCLEAR: (0.66, 0.66, 0.66),
     State.UNSEEN: (0.93, 0.93, 0.93),
 }
-"""Orange and blue: told apart with any colour vision, and in black and white by how dark they are."""
+"""Orange and blue: distinct with any color vision, and in black and white by how dark they are."""
 SAYS = {
     State.MARKED: "the mark is here",
     State.ALTERED: "this part is there, its mark is not: altered, or taken from the original",
@@ -36,7 +36,7 @@ SAYS = {
     State.UNSEEN: "not seen in the suspect, or too faintly",
 }
 PANEL = (480, 400)
-"""Each picture of a sheet, pixels; a picture that was handed in keeps its shape within the larger side."""
+"""Each picture of a sheet, pixels; a picture of the suspect keeps its shape within the larger side."""
 AROUND, ALL = 0.6, 0.95
 """Focal length, in that of a view of a piece alone, at which it is seen in the scene that it lies in; and the share of
 a suspect from which on that scene is the piece."""

@@ -1,6 +1,6 @@
 """A claim in words: the one wording of it, for command line, report, API and page.
 
-Said of the plain JSON of `verify --json`. Nothing is overstated: bounds are rounded against the claim, and nothing
+Made from the plain JSON of `verify --json`. Nothing is overstated: bounds are rounded against the claim, and nothing
 measured is called certain.
 """
 
@@ -193,7 +193,7 @@ def _copy(claim: Mapping[str, Any], form: Form) -> str:
         return f"the record is of the copy {made}"
     if claim["copy_named"]:
         return f"{made} (z {claim['copy_z']:.3g})"
-    return f"not shown to be the copy {made} (z {claim['copy_z']:.3g}); tracing asks all copies"
+    return f"not shown to be the copy {made} (z {claim['copy_z']:.3g}); tracing tests all copies"
 
 
 def _change(change: float | None) -> str:
@@ -296,8 +296,8 @@ def _does_not_say(claim: Mapping[str, Any]) -> str:
     if claim["verdict"] == "inconclusive":
         return "It does not say that the suspect carries no watermark."
     return (
-        "It acquits nobody: what somebody computed from marked copies looks like this, too. It does not say how they"
-        " came by it, nor that the suspect is free of another owner's watermark."
+        "It does not acquit anyone: a model computed from marked copies looks like this, too. It does not say how the"
+        " suspect was obtained, nor that it is free of another owner's watermark."
     )
 
 

@@ -1,7 +1,7 @@
 """Pass 3: per tile, the list of Gaussians that touch it, front to back.
 
 A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: those that pass 1
-has told by bits where it is small, else per row of tiles the ellipse's span in x. One walk over the depth order notes
+has stored as bits where it is small, else per row of tiles the ellipse's span in x. One walk over the depth order notes
 the pairs and counts them per tile, a second pass puts them in place. Both split the order into contiguous shares, so
 lists come out in depth order whatever the number of shares. A tile mask leaves tiles out altogether.
 """
@@ -75,7 +75,7 @@ def list_pairs(order, visible, records, bounds, tiles_x, log2_skip, histograms, 
 
     `bounds` is what `projection.project` wrote. Each share of the order fills its own row of `tiles` and `owners`
     (shares, capacity) and counts its pairs per tile in `histograms` (shares, tiles) and altogether in `counts`
-    (shares,); `sizes` (N,) gets the tiles of every Gaussian. Where a row is too short the walk goes on counting: the
+    (shares,); `sizes` (N,) gets the tiles of every Gaussian. Where a row is too short the walk continues counting: the
     caller makes longer rows and calls again.
     """
     extents, rects, covers = bounds

@@ -13,7 +13,7 @@ LANES = 16
 
 _FEATURES = processor()[1].split(",")
 REGISTER = next((size for feature, size in {"+avx512f": 16, "+avx": 8}.items() if feature in _FEATURES), 4)
-"""Lanes that one register of this processor holds, or of the one that numba was told to compile for."""
+"""Lanes that one register of the processor holds for which numba compiles, by default this one."""
 
 FLAGS = tuple(sorted(FLOAT_FLAGS))
 

@@ -21,7 +21,7 @@ from engine.raster.lane_ir import FLOATS, INT32, INTS, LANES, broadcast, call_ll
 # and (name, count) of a tuple. So nothing here needs numba before something is compiled.
 lanes, mask = "lanes", "mask"
 TYPES = sha256(Path(__file__).with_name("lane_types.py").read_bytes()).hexdigest()
-"""What code of kernels depends on beside its own text."""
+"""What code of kernels depends on in addition to its own text."""
 
 
 def ir_function(result: Any, *arguments: Any) -> Callable[..., Deferred]:

@@ -1,6 +1,6 @@
 """Sums per (tile, Gaussian) pair for the gradients of everything.
 
-Beside the colour sums, a pair collects the moments of s = alpha dL/dalpha over its pixels: s, s dx, s dy,
+In addition to the colour sums, a pair collects the moments of s = alpha dL/dalpha over its pixels: s, s dx, s dy,
 s dx^2, s dx dy, s dy^2, with (dx, dy) from the centre. All parameters of the projected Gaussian follow from
 these six, once per Gaussian, in `parameter_gradients`.
 

@@ -33,7 +33,7 @@ RECORD = 8
 """Floats per record."""
 
 COVER = 4
-"""Sides of the largest rectangle of tiles whose tiles are told by bits: one of 16 for each, row by row."""
+"""Sides of the largest rectangle of tiles that is stored as bits: one of 16 for each tile, row by row."""
 
 LANE_SCRATCH = 17 * 16
 """Floats of scratch a chunk needs."""

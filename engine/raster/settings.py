@@ -1,4 +1,4 @@
-"""What defines the image, beside the model and the camera."""
+"""What defines the image, in addition to the model and the camera."""
 
 import math
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ FRUSTUM_MARGIN = 0.3
 
 @dataclass(frozen=True, eq=False)
 class EarlyStop:
-    """The paper's rule beside transmittance (Eq 8): a pixel ends once sum_j alpha_j W_j >= tau.
+    """The paper's further rule (Eq 8): a pixel ends once sum_j alpha_j W_j >= tau.
 
     Of a picture alone: gradients and sums of weights are those of the whole image. W (N,) is W^freq of every Gaussian,
     or its rank in (0, 1]; alphas are not multiplied with the transmittance, so a tau above 1 stops pixels, too. The
@@ -60,7 +60,7 @@ class RasterSettings:
     parameters. None: where the model was trained so (`GaussianModel.antialiased`)."""
     by_distance: bool = False
     """Blended in the order of their distance from the camera, as viewers do that sort once for all directions it may be
-    turned to (SuperSplat's, Spark's), in place of their depth: large Gaussians beside a wide lens change places."""
+    turned to (SuperSplat's, Spark's), in place of their depth: large Gaussians near a wide lens change places."""
     kernel: str = "auto"
     """What is drawn: "gaussian", or "disc", those of 2DGS, of the first two scales, which rays meet exactly in
     perspective and which have a low pass of their own in place of `eps2d` (`engine.raster.disc_projection`); "auto":

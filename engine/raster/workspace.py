@@ -22,7 +22,7 @@ __all__ = ["Workspace", "borrow_workspace", "release_memory"]
 
 _KEPT = 2
 _MOST = 512 << 20
-"""Bytes of a workspace above which it is not kept: to fill fresh memory then costs little beside what fills it."""
+"""Bytes of a workspace above which it is not kept: to fill fresh memory then costs little next to what fills it."""
 
 _lock = threading.Lock()
 _idle: list[Workspace] = []

@@ -1,4 +1,4 @@
-"""Attestations: somebody else's word on when a record existed, kept in its file beside the seal.
+"""Attestations: third parties' statements that a record existed at a time, kept in its file after the seal.
 
 They come after the record is sealed, so the seal does not cover them; each is bound to the record by the SHA-256 of its
 public bytes (prefix and header), which name reference, plan, owner and original. Appended to the record, little-endian:
@@ -38,7 +38,7 @@ _MAX_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Attestation:
-    """One word on a record, not yet believed."""
+    """One statement about a record, not yet checked."""
 
     kind: str  # STAMP or LOG
     value: str  # base64 of a time-stamping service's reply, or a compact JWS
@@ -46,7 +46,7 @@ class Attestation:
 
 @dataclass(frozen=True)
 class Trust:
-    """Whose word counts for a reader."""
+    """Authorities that a reader trusts."""
 
     certificates: Sequence[x509.Certificate] = ()  # that vouch for time-stamping services
     listed: Sequence[x509.Certificate] = ()  # on a trusted list (eIDAS): they tell qualified stamps from plain ones

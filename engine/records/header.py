@@ -1,8 +1,8 @@
 """The public part of a record, and what binds the chips to the asset.
 
 Chips follow from `chip_context`: the digest of the reference and the record id, and the id is a keyed hash of
-the plan (code vectors, carriers, amplitudes, message, copy). Opening a record recomputes both. Whoever makes
-up a reference, or fits a plan to given chips, gets other chips.
+the plan (code vectors, carriers, amplitudes, message, copy). Opening a record recomputes both. An invented
+reference, or a plan fitted to given chips, gives other chips.
 """
 
 from collections.abc import Mapping
@@ -53,7 +53,7 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
 
 
 def make_draw_terms(key: OwnerKey, reference: bytes, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """32 bytes that no other key, reference or plan gives, and that tell nothing of these: what a time-stamping service
+    """32 bytes that no other key, reference or plan gives, and that reveal none of these: what a time-stamping service
     that draws for a plan stamps together with the original's digest. Parameters as for `make_record_id`."""
     return key.derive(DRAW_TERMS, _settled(reference, "", plan, arrays))
 

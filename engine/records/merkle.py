@@ -77,7 +77,7 @@ def check_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes], 
 
 
 def consistency_proof(first: int, size: int, fetch: Fetch) -> list[bytes]:
-    """The hashes that show the tree of `first` leaves to be the beginning of that of `size` (RFC 6962 2.1.2)."""
+    """The hashes that show the tree of `first` leaves to be the beginning of the tree of `size` (RFC 6962 2.1.2)."""
     if not 0 < first <= size:
         raise ValueError(f"a tree of {first} leaves is not the beginning of one of {size}")
     low, high, parts = 0, size, []
@@ -96,8 +96,8 @@ def consistency_proof(first: int, size: int, fetch: Fetch) -> list[bytes]:
 
 
 def check_consistency(first: int, first_root: bytes, size: int, proof: Sequence[bytes], root: bytes) -> bool:
-    """Whether the proof shows the tree of `first` leaves under `first_root` to be the beginning of that of `size` under
-    `root` (RFC 9162 2.1.4.2)."""
+    """Whether the proof shows the tree of `first` leaves under `first_root` to be the beginning of the tree of `size`
+    under `root` (RFC 9162 2.1.4.2)."""
     if not 0 < first <= size:
         return False
     if first == size:

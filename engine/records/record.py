@@ -61,7 +61,7 @@ class Record:
     ) -> Record:
         """A record of one embedding; the header follows from the rest.
 
-        MalformedRecordError if a text or digest is not as `RecordHeader` wants it; ValueError or TypeError if plan or
+        MalformedRecordError if a text or digest is not as `RecordHeader` requires; ValueError or TypeError if plan or
         extra is no JSON, or an array is of a type that cannot be recorded.
         """
         digest = reference_digest(reference_arrays)
@@ -106,7 +106,7 @@ class Record:
             raise MalformedRecordError("the record's body is malformed")
         if not (isinstance(meta["plan"], dict) and isinstance(meta["extra"], dict)):
             raise MalformedRecordError("the record's plan is malformed")
-        # Early records could hold arrays beside the plan ("extra/"), which nothing has ever read: they are let go.
+        # Early records could hold further arrays ("extra/"), which nothing has ever read: they are dropped.
         groups: dict[str, dict[str, npt.NDArray[Any]]] = {"plan": {}, "reference": {}, "extra": {}}
         for name, array in arrays.items():
             group, _, rest = name.partition("/")

@@ -56,7 +56,7 @@ _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest",
 def encode_reference(model: GaussianModel, version: int = _VERSION) -> Arrays:
     """Canonical arrays of a model, about 78 bytes a Gaussian at SH 3 before compression, about 57 after.
 
-    The version is that of the grids. InputError if the model is empty or holds a NaN or an infinity.
+    The version is the grids'. InputError if the model is empty or holds a NaN or an infinity.
     """
     if len(model) == 0:
         raise InputError("an empty model cannot be a reference")

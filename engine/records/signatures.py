@@ -1,4 +1,4 @@
-"""Checking what the service signed (compact JWS, Ed25519) by the public keys of a JWKS that somebody trusts."""
+"""Checking what the service signed (compact JWS, Ed25519) by the public keys of a trusted JWKS."""
 
 import base64
 import re

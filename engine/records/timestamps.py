@@ -1,4 +1,4 @@
-"""Time stamps (RFC 3161): somebody else's word that bytes, such as a record's header, existed at a time."""
+"""Time stamps (RFC 3161): a third party's proof that bytes, such as a record's header, existed at a time."""
 
 import hashlib
 import time
@@ -38,7 +38,7 @@ class TimestampFault(Exception):
 
 @dataclass(frozen=True)
 class Stamped:
-    """What asking for a time stamp gave: the service's reply (DER), or why there is none."""
+    """The result of a request: the service's reply (DER), or why there is none."""
 
     token: bytes | None
     failure: str = ""
@@ -74,7 +74,7 @@ def require_stamp(url: str, data: bytes) -> bytes:
 
 
 def stamped_at(token: bytes, data: bytes) -> str:
-    """The time a stamp of these bytes names, UTC, ISO 8601; who gave it is left open. TimestampFault if it is none."""
+    """The time a stamp of these bytes names, UTC, ISO 8601; its author is not checked. TimestampFault if it is none."""
     response = _read(token)
     _check_digest(response, data)
     return response.tst_info.gen_time.replace(tzinfo=UTC).isoformat(timespec="seconds")
@@ -169,7 +169,7 @@ def _ask(url: str, query: bytes) -> bytes:
 
 
 def authority_of(token: bytes) -> str:
-    """Name of whoever gave a stamp, as its certificate has it."""
+    """Name of the authority that issued a stamp, as its certificate has it."""
     certificate = _signer(token)
     return (
         "a time-stamping service without a certificate" if certificate is None else certificate.subject.rfc4514_string()
@@ -194,7 +194,7 @@ def qualification(token: bytes, listed: Sequence[x509.Certificate]) -> str:
 
 
 def _signer(token: bytes) -> x509.Certificate | None:
-    """The certificate that the signature names: others in a stamp are not covered by it, and anybody can add some."""
+    """The certificate that the signature names: others in a stamp are not covered by it, and anyone can add some."""
     signed = _read(token).signed_data
     if len(signed.signer_infos) != 1:
         return None

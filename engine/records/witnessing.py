@@ -1,4 +1,4 @@
-"""Checking attestations (`attestation`): whose word on a record counts, and why another's does not."""
+"""Checking attestations (`attestation`): which of them count for a record, and why others do not."""
 
 import base64
 import binascii
@@ -20,7 +20,7 @@ ASSET_REGISTERED = "asset.registered"
 
 
 def check_attestations(data: bytes, trust: Trust) -> tuple[tuple[Witness, ...], tuple[str, ...]]:
-    """Who attests the record, of those that the reader trusts; and what is to be said of the others."""
+    """Who attests the record, of those that the reader trusts; and notes on the others."""
     witnesses, notes = [], []
     for each in read_attestations(data):
         try:
@@ -56,7 +56,7 @@ def _check_statement(value: str, data: bytes, trust: Trust) -> Witness:
         event, at = entry["event"], str(entry["at"])
         logged = entry["payload"]["record_sha256"] == sha256(split(data)[0]).hexdigest()
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise SignatureFault("a service's word on a registration has another form") from None
+        raise SignatureFault("a service's statement of a registration has another form") from None
     if bound != header_digest(data) or event != ASSET_REGISTERED or not logged:
         raise SignatureFault("a service's word is about another record")
     if not included:

@@ -110,7 +110,7 @@ def embed_moving(
 ) -> tuple[M, Embedding]:
     """Mark a dynamic scene, whose unmarked original the owner keeps for verification.
 
-    `original_sha256` is the digest of the owner's file, by default that of the arrays. The landmark bank is left out: a
+    `original_sha256` is the digest of the owner's file, by default of the arrays. The landmark bank is left out: a
     canonical model is nothing a picture shows, `move_record` makes one. Errors are those of
     `engine.flows.embed.embedding.embed`; InputError for profile `auto`. Returns the marked
     scene, of the same kind, and an embedding whose model is the marked canonical one and whose record commits to the
@@ -146,7 +146,7 @@ def _visible_rows(model: GaussianModel, when: str = "") -> Int64:
 
 
 def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0) -> OpenedRecord:
-    """The record as if the scene had always stood still at one moment: the reference moved, the rest as it is.
+    """The record as if the scene had always stood still at one moment: the reference moved, the rest unchanged.
 
     For `verify_model` and `verify_images`; of the Gaussians that are not visible then, nothing is left.
     `landmark_views` make a bank of that moment, for pictures whose camera is not known. InputError if the record does
@@ -154,7 +154,7 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     """
     committed = opened.commitments.get(COMMITMENT)
     if committed is None:
-        raise InputError("this record is of a scene that stands still: it commits to no moving original")
+        raise InputError("this record is of a static scene: it commits to no moving original")
     if committed != original.digest():
         raise InputError(f"this is not the original the record commits to: {original.digest()[:16]}... given")
     posed = original.at(time).with_(sh=opened.reference.sh)
@@ -173,7 +173,7 @@ def find_time(suspect: GaussianModel, opened: OpenedRecord, original: Moving, *,
     """The moment at which the original looks most like a model exported from it; None where it is never found.
 
     Most Gaussians nearest to where they should be, in their own sizes. Only geometry and the registration's unmarked
-    features decide, so the search is no further try of a claim. It tries `TRIED` moments over the whole clip, then
+    features decide, so the search adds no hypothesis to a claim. It tries `TRIED` moments over the whole clip, then
     `ROUNDS` times the neighbours of the best.
     """
     shown = visible(suspect)
@@ -224,7 +224,7 @@ def verify_moving_images(
 ) -> tuple[Verification, float]:
     """Do these pictures (h, w, 3), all of one moment, show the marked scene?
 
-    `times` are the moments it may be; each is a place where all is asked, and all are counted. Unknown cameras are
+    `times` are the moments it may be; every hypothesis is tested at each, and all are counted. Unknown cameras are
     found by a bank of `BANK_VIEWS`. Returns the best verification and its moment.
     """
     if not times:

@@ -1,4 +1,4 @@
-"""The files of Compact3D / CompGS: a PLY with what is not quantised, and beside it three files of codebooks.
+"""The files of Compact3D / CompGS: a PLY with what is not quantised, and three files of codebooks in its folder.
 
 ====================  ==================================================================================
 kmeans_centers.pth    torch archive: group -> (M, d) float tensor

@@ -1,7 +1,7 @@
 """Whatever a file or a folder holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
 
 The one door by which commands and service come in: `read_scene` and `write_scene`, between them
-`scene_marking.embed_scene`; and `Loaded.model` for whoever only looks. What a format of the output has no place for
+`scene_marking.embed_scene`; and `Loaded.model` for reading alone. What a format of the output has no place for
 is refused by `written_as`, never dropped.
 """
 
@@ -52,7 +52,7 @@ FOLDERS = (FRAMES, CODEBOOK)
 CLIPS = (SPACETIME, FRAMES)
 
 DEFORMATION = "deformation.pth"
-"""The network of a 4DGS scene (Wu et al., CVPR 2024), beside the Gaussians that it moves."""
+"""The network of a 4DGS scene (Wu et al., CVPR 2024), in the folder of the Gaussians that it moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +104,8 @@ def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_fra
     repairs = loaded.repairs
     if loaded.format == "ply" and (Path(path).parent / DEFORMATION).is_file():
         text = (
-            f"{DEFORMATION!r} beside the file moves these Gaussians: what is said of the look holds for them at rest;"
-            " export a .ply a moment and give the folder to mark the scene as it moves"
+            f"{DEFORMATION!r} in this folder moves these Gaussians: what is said of the look holds for them at rest;"
+            " to mark the scene as it moves, export one .ply per moment and give the folder"
         )
         repairs = (*repairs, Repair("deformation_beside", 1, text))
     return Loaded(loaded.model, loaded.format, repairs, loaded.source_bytes, loaded.sha256)
@@ -118,8 +118,8 @@ def _read_folder(folder: Path, kind: str) -> Loaded:
 
 
 def written_as(loaded: Loaded, kind: str) -> str:
-    """The format in which a marked scene is written, where `kind` is asked for; UnsupportedFormatError naming what
-    would be lost where that has no place for it."""
+    """The format in which a marked scene is written, where `kind` is requested; UnsupportedFormatError names what
+    this format would lose."""
     if isinstance(loaded.scene, SpacetimeModel):
         if kind not in ("ply", SPACETIME):
             message = (
@@ -135,7 +135,7 @@ def written_as(loaded: Loaded, kind: str) -> str:
 
 
 def output_of(loaded: Loaded) -> str:
-    """The format in which a marked scene is written where none is asked for: its own, if that is written at all."""
+    """The format in which a marked scene is written by default: its own, if that is written at all."""
     return loaded.format if loaded.format in (*FORMATS, *FOLDERS) else "ply"
 
 
@@ -160,5 +160,5 @@ def encode_scene(scene: Scene, kind: str) -> bytes:
 def notes_of(scene: Scene, kind: str) -> list[str]:
     """What the owner should know of the file: what its format cannot hold, what it is verified with."""
     if isinstance(scene, SpacetimeModel | FrameSequence):
-        return ["a moment exported from this clip, or a picture of it, is verified with the unmarked clip beside it"]
+        return ["to verify a moment exported from this clip, or a picture of it, give the unmarked clip as well"]
     return [] if isinstance(scene, CodebookModel) else loss_note(scene, kind)

@@ -1,4 +1,4 @@
-"""Every kind of scene, marked as what it is. Apart from `scene_files`: who only reads need not load what marks."""
+"""Every kind of scene, marked as what it is. Apart from `scene_files`: reading need not load what marks."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class SpacetimeModel:
 
     means: Float32  # (N, 3) centres at the temporal centre, scene units
     log_scales: Float32  # (N, 3) natural logarithm of the standard deviations
-    quats: Float32  # (N, 4) rotation w, x, y, z at the temporal centre, of a length that matters beside `omega`
+    quats: Float32  # (N, 4) rotation w, x, y, z at the temporal centre; their length matters relative to `omega`
     opacity_logits: Float32  # (N,) at the temporal centre
     colors: Float32  # (N, 3) RGB as it shows, nominal range 0 to 1, constant in time
     trbf_center: Float32  # (N,) of the temporal radial basis, in units of the clip's duration

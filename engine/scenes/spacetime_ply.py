@@ -25,7 +25,7 @@ PROPERTIES = {
     "quats": ("rot_0", "rot_1", "rot_2", "rot_3"),
     "omega": ("omega_0", "omega_1", "omega_2", "omega_3"),
 }
-"""Attribute -> properties, in the order of the public code; the normals are zero and nobody reads them."""
+"""Attribute -> properties, in the order of the public code; the normals are zero and never read."""
 
 TRBF_SCALE_LIMIT = 30.0
 """Logarithm of the temporal width, either side: shorter and longer lives are clamped to it."""
@@ -48,8 +48,8 @@ def is_spacetime(data: bytes | memoryview) -> bool:
 def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[SpacetimeModel, tuple[Repair, ...]]:
     """Read a "lite" Spacetime Gaussian PLY: f_dc is RGB as it shows, trbf_scale a logarithm.
 
-    The model is finite everywhere, quaternions as they are, since their length only means something beside omega's;
-    repairs tell of rows left out, opacities and scales clamped, properties ignored. FormatError where the bytes are not
+    The model is finite everywhere. Quaternions keep their length, which matters relative to omega's. Repairs list rows
+    left out, opacities and scales clamped, properties ignored. FormatError where the bytes are not
     what the header says, or a property is missing; UnsupportedFormatError for a "full" model, whose colours come out of
     a network that is not in the file.
     """

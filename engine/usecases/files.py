@@ -24,7 +24,7 @@ _PART_ENDING = ".part"
 
 @contextmanager
 def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
-    """A path to write to beside the target; it becomes the target when the block ends without an error.
+    """A path to write to in the target's folder; it becomes the target when the block ends without an error.
 
     InputError if the folder does not exist, or the target does and is not to be overwritten.
     """
@@ -51,13 +51,13 @@ def check_output(target: Path, kind: str) -> None:
 
 
 def whole_output(target: Path, kind: str) -> AbstractContextManager[Path]:
-    """A file, or a folder, to write to beside the target; see `whole_file`."""
+    """A file, or a folder, to write to next to the target; see `whole_file`."""
     return (whole_folder if kind in FOLDERS else whole_file)(target)
 
 
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
-    """A folder to fill beside the target; it becomes the target when the block ends without an error.
+    """A folder to fill next to the target; it becomes the target when the block ends without an error.
 
     InputError as `check_folder`.
     """

@@ -79,7 +79,7 @@ class MarkReport(Report):
     seconds_by_stage: dict[str, float] = field(default_factory=dict)
 
     def to_json(self) -> Json:
-        """Plain values, the embedding's beside the rest."""
+        """Plain values; the embedding's fields stand at the top level."""
         found = super().to_json()
         del found["embedding"]
         return self.embedding.to_json() | found
@@ -102,7 +102,7 @@ def mark(
     """Mark a scene for one recipient after another; an answer comes when its files are written, each whole or not at
     all.
 
-    Errors are those of reading, of `flows.embed.embedding.embed`, and InputError where a file cannot be written.
+    Raises the errors of reading and of `flows.embed.embedding.embed`, and InputError where a file cannot be written.
 
     Parameters
     ----------

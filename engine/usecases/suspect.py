@@ -29,7 +29,7 @@ class SuspectSource(Protocol):
     """Where a suspect comes from."""
 
     def read(self) -> ReadSuspect:
-        """The suspect; errors are those of its files."""
+        """The suspect; raises the errors of its files."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class SuspectFiles:
         if not any(pictures) and len(found) > 1:
             raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path, _ in found)}")
         if cameras is not None and not any(pictures):
-            raise InputError("--cameras belongs to pictures; a model needs none")
+            raise InputError("--cameras is only allowed with pictures")
         return cls(tuple(path for path, _ in found), any(pictures), cameras, spz_frame)
 
     def read(self) -> ReadSuspect:

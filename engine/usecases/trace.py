@@ -44,7 +44,7 @@ class TraceRequest:
 
 @dataclass(frozen=True, eq=False)
 class TraceAnswer:
-    """What came of it."""
+    """The result of a tracing."""
 
     read: ReadSuspect
     tracing: Tracing
@@ -54,7 +54,7 @@ class TraceAnswer:
 def trace(
     request: TraceRequest, progress: Progress, prepare: Callable[[ReadSuspect], None] | None = None
 ) -> TraceAnswer:
-    """Read the suspect, and every record once a route. Errors are those of the suspect's files and of the records.
+    """Read the suspect, and every record once a route. Raises the errors of the suspect's files and of the records.
 
     Parameters
     ----------

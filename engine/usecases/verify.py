@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["VerifyAnswer", "VerifyReport", "VerifyRequest", "printed", "verify"]
 
 MOMENTS = 9
-"""Moments of a clip that pictures are compared with; each is a try."""
+"""Moments of a clip that pictures are compared with; each is a hypothesis."""
 
 C = TypeVar("C", bound="Candidate")
 
@@ -46,14 +46,14 @@ class VerifyRequest(Generic[C]):
 
     def __post_init__(self) -> None:
         if self.original is not None and self.regions is not None:
-            raise InputError("regions are located in a scene that stands still: give no original")
+            raise InputError("regions are only located in a static scene: give no original")
         if self.original is not None and len(self.candidates) != 1:
             raise InputError(f"an original belongs to one record, got {len(self.candidates)}")
 
 
 @dataclass(frozen=True, eq=False)
 class VerifyReport(Report):
-    """A claim, and the record it speaks of."""
+    """A claim, and the record it is about."""
 
     claim: Claim
     seconds: float
@@ -80,14 +80,14 @@ class VerifyReport(Report):
         )
 
     def to_json(self) -> Json:
-        """Plain values, those of the claim beside the rest."""
+        """Plain values; the claim's fields stand at the top level."""
         found = super().to_json()
         del found["claim"]
         return self.claim.to_json() | found
 
 
 def printed(report: Json, registered: str) -> Json:
-    """The JSON of a `VerifyReport` as it is handed out: its `Reading` in place of what that says, and the rest."""
+    """The JSON of a `VerifyReport` as it is returned: its `Reading` in place of those members, and the rest."""
     from engine.present.reading import reading_of
 
     reading = reading_of(report, registered).to_json()
@@ -97,25 +97,25 @@ def printed(report: Json, registered: str) -> Json:
 
 @dataclass(frozen=True, eq=False)
 class VerifyAnswer(Generic[C]):
-    """What came of it."""
+    """The result of a verification."""
 
     read: ReadSuspect
     search: Search[C]
-    regions: RegionReport | None  # of the best candidate, where that was asked for and its record could be opened
+    regions: RegionReport | None  # of the best candidate, where requested and its record could be opened
     seconds_by_stage: dict[str, float]
 
     @property
     def best(self) -> Outcome[C] | None:
-        """The candidate that tells most; None where there was none."""
+        """The candidate with the strongest evidence; None where there was none."""
         return self.search.best
 
 
 def verify(
     request: VerifyRequest[C], progress: Progress, prepare: Callable[[ReadSuspect], None] | None = None
 ) -> VerifyAnswer[C]:
-    """Read the suspect, look for one record's mark after the other, and locate the best one's where that is asked for.
+    """Read the suspect, look for one record's mark after the other, and locate the best one's where requested.
 
-    Errors are those of the suspect's files; what is wrong with a record stands in its outcome.
+    Raises the errors of reading the suspect's files; what is wrong with a record stands in its outcome.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def verify_in_motion(suspect: Suspect, opened: OpenedRecord, original: Path, con
     """Does this model, exported from a clip, or do these pictures of one moment of it, carry the mark?
 
     `original` is the file or the folder of the unmarked clip that the record commits to; InputError if it is another,
-    or none. All moments that pictures are compared with are counted as tries; which moment a model shows is told by
+    or none. Each moment that pictures are compared with is a hypothesis; which moment a model shows is found from its
     geometry alone.
     """
     import numpy as np

@@ -1,1 +1,1 @@
-"""Suspects as they were found: fetched or handed in, kept in a WARC file, logged and time-stamped."""
+"""Suspects, preserved as found: fetched or uploaded, kept in a WARC file, logged and time-stamped."""

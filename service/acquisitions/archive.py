@@ -1,7 +1,7 @@
 """An acquisition as a WARC file (ISO 28500, version 1.1): every record a gzip member of its own.
 
 warcinfo | for each redirect and the answer: request, response, metadata (address, certificates)
-warcinfo | of a file that was handed in: resource
+warcinfo | of an uploaded file: resource
 """
 
 import base64
@@ -35,9 +35,9 @@ class _Head(StatusAndHeaders):  # type: ignore[misc]
 
 
 def write_warc(target: Path, body: Path, exchanges: Sequence[Exchange], name: str, at: str) -> None:
-    """Write what was fetched, or, without exchanges, what was handed in at a time under a name.
+    """Write what was fetched, or, without exchanges, what was uploaded at a time under a name.
 
-    `body` is the file of the last answer's body, or the one handed in.
+    `body` is the file of the last answer's body, or the uploaded one.
     """
     with target.open("wb") as file, body.open("rb") as payload:
         writer = _Writer(file, gzip=True, warc_version="1.1")
@@ -50,18 +50,18 @@ def write_warc(target: Path, body: Path, exchanges: Sequence[Exchange], name: st
 
 
 def _write_exchange(writer: _Writer, exchange: Exchange, body: Any) -> None:
-    asked = _Head(f"GET {exchange.target} HTTP/1.1", list(exchange.asked), is_http_request=True)
+    request = _Head(f"GET {exchange.target} HTTP/1.1", list(exchange.request_headers), is_http_request=True)
     # The body is kept without its framing in chunks, so the header that announces that goes by another name.
     headers = [(f"X-Archive-Orig-{k}" if k.lower() == _CHUNKED else k, v) for k, v in exchange.answered]
     answered = _Head(exchange.status, headers, protocol="HTTP/1.1")
     there = {"WARC-IP-Address": exchange.address}
     response = _write(writer, exchange.url, "response", exchange.at, body, there, answered)
-    beside = {"WARC-Concurrent-To": response}
-    _write(writer, exchange.url, "request", exchange.at, io.BytesIO(), beside | there, asked)
+    links = {"WARC-Concurrent-To": response}
+    _write(writer, exchange.url, "request", exchange.at, io.BytesIO(), links | there, request)
     certificates = [base64.b64encode(each).decode() for each in exchange.certificates]
-    told = json.dumps({"tool": TOOL, "address": exchange.address, "tls_certificates": certificates}).encode()
-    beside["Content-Type"] = "application/json"
-    _write(writer, exchange.url, "metadata", exchange.at, io.BytesIO(told), beside)
+    metadata = json.dumps({"tool": TOOL, "address": exchange.address, "tls_certificates": certificates}).encode()
+    links["Content-Type"] = "application/json"
+    _write(writer, exchange.url, "metadata", exchange.at, io.BytesIO(metadata), links)
 
 
 def _write(

@@ -1,4 +1,4 @@
-"""/v1/acquisitions: what was found, kept as it was, before it is examined."""
+"""/v1/acquisitions: suspects, preserved as found, before they are examined."""
 
 import asyncio
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ from service.http.access import Admin, After, Core, Limit, Reader, Verifier, may
 from service.http.budgets import spend
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.file_responses import Want, file_responses, send_blob
-from service.http.forms import Asked
+from service.http.forms import RequestBody
 from service.http.results import Time
 from service.trust.api_keys import Caller
 from service.trust.commitments import forget
@@ -29,34 +29,34 @@ Viewer = Annotated[Caller, Depends(may("read", "verify"))]
 _EXAMPLES: JsonValue = [{"url": "https://models.example/stolen.ply"}, {"upload_id": "up_f6b2ce7c59a1e745e1b7d86e"}]
 
 
-class NewAcquisition(Asked):
-    """What to acquire: give one of the two."""
+class NewAcquisition(RequestBody):
+    """What to acquire: provide exactly one of `url` and `upload_id`."""
 
     model_config = ConfigDict(json_schema_extra={"examples": _EXAMPLES})
     url: Url | None = Field(None, description="Address on the open network, http or https; redirects are followed.")
     upload_id: str | None = Field(
-        None, min_length=1, max_length=64, description="A complete upload: what you saved yourself."
+        None, min_length=1, max_length=64, description="A complete upload: a file that you saved yourself."
     )
 
     @model_validator(mode="after")
     def _one(self) -> "NewAcquisition":
         if (self.url is None) == (self.upload_id is None):
-            raise ValueError("give either url or upload_id")
+            raise ValueError("provide exactly one of url and upload_id")
         return self
 
 
 class Acquisition(BaseModel):
-    """What was acquired, when."""
+    """An acquired file."""
 
     model_config = ConfigDict(from_attributes=True)
     id: str
-    url: str | None = Field(description="The address that was asked; null of a file that was handed in.")
+    url: str | None = Field(description="Address that was fetched; null for an uploaded file.")
     at: Time
     bytes: int
     payload_sha256: str
-    warc_sha256: str = Field(description="Of the file that `.../warc` answers.")
+    warc_sha256: str = Field(description="Of the file at `.../warc`.")
     upload_id: str | None = Field(
-        validation_alias="upload", description="The suspect as an upload, to verify; null of what is no suspect."
+        validation_alias="upload", description="The suspect as an upload, to verify; null if it is no suspect."
     )
     timestamp: Annotated[str | None, BeforeValidator(registry.encoded)] = Field(
         description="RFC 3161 token of id, url, at, payload_sha256 and warc_sha256 as canonical JSON, base64; null"
@@ -65,7 +65,7 @@ class Acquisition(BaseModel):
 
 
 class MadeAcquisition(Acquisition):
-    """One just made."""
+    """An acquisition just made."""
 
     timestamp_failure: str = Field("", description="Why there is no time stamp; empty where there is one.")
 
@@ -87,11 +87,11 @@ class AcquisitionList(BaseModel):
     ),
 )
 async def acquire(body: NewAcquisition, core: Core, caller: Verifier, response: Response) -> MadeAcquisition:
-    """Fetch a suspect from where it was found, or take an upload, and keep it as it is: bytes, headers, certificates of
+    """Fetch a suspect from its address, or take an upload, and preserve it unchanged: bytes, headers, certificates of
     the server and time in a WARC file (ISO 28500), logged and time-stamped.
 
-    A verification of the same bytes may name it (`acquisition_id`). That an address answered so is this service's
-    word; that the bytes existed by then is the time-stamping service's, where there is a time stamp.
+    A verification of the same bytes may name it (`acquisition_id`). This service states what the address answered; a
+    time stamp, where there is one, attests that the bytes existed by then.
     """
     limit = core.settings.acquisitions_per_hour
     what = "acquisitions of this API key"

@@ -1,4 +1,4 @@
-"""What an address on the open network answers: no proxy, no cookies, no encoding; each redirect is looked at anew."""
+"""What an address on the open network answers: no proxy, no cookies, no encoding; each redirect is checked anew."""
 
 import asyncio
 import ssl
@@ -26,7 +26,7 @@ class Exchange:
     at: str  # of the request, UTC, ISO 8601
     address: str  # IP address
     target: str  # of the request line
-    asked: tuple[tuple[str, str], ...]  # headers as sent
+    request_headers: tuple[tuple[str, str], ...]  # headers as sent
     status: str  # such as "200 OK"
     answered: tuple[tuple[str, str], ...]  # headers as they came
     certificates: tuple[bytes, ...]  # of the server (DER), its own first; before Python 3.13 that one alone
@@ -35,7 +35,7 @@ class Exchange:
 async def fetch(
     url: str, target: Path, most_bytes: int, seconds: float, *, private: bool = False
 ) -> tuple[list[Exchange], Received]:
-    """Fetch to a file. All redirects and then the answer whose body it is; what came of it.
+    """Fetch to a file. All redirects and then the answer whose body it is; what was stored of it.
 
     `private`: addresses that are not public will do. "not-fetched" where there is no such answer within `seconds`,
     "too-large" where it has more than `most_bytes`.
@@ -59,7 +59,7 @@ async def fetch(
 async def _get(
     url: httpx.URL, target: Path, most_bytes: int, seconds: float, private: bool
 ) -> tuple[Exchange, str | None, Received]:
-    """One answer, where it leads on to, and what came of its body."""
+    """One answer, where it redirects to, and what was stored of its body."""
     if url.scheme not in ("http", "https") or url.userinfo or not url.host:
         raise Problem("not-fetched", f"{url} is no http(s) address, or has a user name in it")
     if (address := await resolve(url, private=private)) is None:
@@ -76,7 +76,7 @@ async def _get(
             at=at,
             address=address,
             target=url.raw_path.decode(),
-            asked=_plain(answer.request.headers),
+            request_headers=_plain(answer.request.headers),
             status=f"{answer.status_code} {answer.reason_phrase}",
             answered=_plain(answer.headers),
             certificates=_certificates(answer),

@@ -1,4 +1,4 @@
-"""A record with this service's signed word on its registration in it, so that the date counts elsewhere, too."""
+"""A record with this service's signed statement of its registration, so that the date counts elsewhere, too."""
 
 from typing import Any
 

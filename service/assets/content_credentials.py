@@ -37,7 +37,7 @@ class Delivery:
 
 
 def signer_of(settings: Settings) -> Signer | None:
-    """Who signs, None where the operator configured no signer; InputError that says what is wrong with the files."""
+    """The signer, None where the operator configured none; InputError that says what is wrong with the files."""
     chain, key = settings.credentials_certificates, settings.credentials_key
     if not chain and not key:
         return None

@@ -32,12 +32,12 @@ def keep(service: Service, sha256: str, kind: str, digest: str) -> None:
 
 
 def drop(service: Service, *sha256: str) -> None:
-    """Forget what was made of these files. Who has the same file may have it made again."""
+    """Forget what was made of these files. Another owner of the same file may have it made again."""
     service.db.change(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
 
 
 async def converted(service: Service, tenant: str, sha256: str, kind: str) -> str:
-    """Digest of a stored model in another format. Who asks for one in the making waits for that.
+    """Digest of a stored model in another format. A second request for one in the making waits for it.
 
     budget-exceeded where as many others are being made for this tenant as may be.
     """

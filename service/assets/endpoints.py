@@ -57,7 +57,7 @@ def list_assets(
     caller: Reader,
     limit: Limit = 20,
     after: After = "",
-    q: Annotated[Words, Query(description="Whose label, copy name, id or record id holds this text.")] = "",
+    q: Annotated[Words, Query(description="Text in the label, copy name, id or record id.")] = "",
     original: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$", description="Copies of this original.")] = None,
 ) -> AssetList:
     """Assets of this tenant, newest first."""
@@ -110,7 +110,7 @@ async def get_model(
     "/{asset_id}/record", operation_id="getRecord", response_class=Response, responses=file_responses(RECORD_TYPE)
 )
 def get_record(asset_id: str, core: Core, caller: OriginalsReader, want: Want) -> Response:
-    """The sealed record, and this service's signed word on when it was registered: with the owner key it proves the
+    """The sealed record, with this service's signed statement of its registration: with the owner key it proves the
     mark without this service, at 1 in 10^9 for anyone who trusts its public keys."""
     row = own(core.db, assets, caller.tenant, asset_id)
     return send_blob(core, attested_record(core, row), f"{row.id}.record", RECORD_TYPE, want)

@@ -69,8 +69,8 @@ def query_by_binding(
     responses={200: _FILE, **responses("not-found")},
 )
 def get_manifest(manifest_id: str, core: Core) -> Response:
-    """A manifest store as it was signed. It is bound to one file to the last bit: of a changed copy it says what that
-    was made from."""
+    """A manifest store, byte for byte as signed. It is bound to the exact file: for a changed copy it names the file
+    that this was made from."""
     joined = manifests.join(assets, manifests.c.asset == assets.c.id)
     query = sa.select(manifests.c.sha256).select_from(joined).where(manifests.c.id == manifest_id)
     digest = core.db.query(query).scalar()
@@ -82,5 +82,5 @@ def get_manifest(manifest_id: str, core: Core) -> Response:
 
 @router.get("/services/supportedAlgorithms", operation_id="getSupportedBindings", responses=responses())
 def get_supported_bindings() -> Algorithms:
-    """The soft binding's algorithm that is known here: ours."""
+    """The soft-binding algorithm that is supported here: ours."""
     return Algorithms(watermarks=[Algorithm(alg=ALG)])

@@ -97,20 +97,20 @@ def check_local(settings: Settings) -> None:
 
 
 @contextmanager
-def filling(folder: Path, *, beside: frozenset[str] = frozenset()) -> Iterator[None]:
-    """Fill a folder that is not there, or holds nothing but `beside`; if the block raises, it is as it was before."""
+def filling(folder: Path, *, ignored: frozenset[str] = frozenset()) -> Iterator[None]:
+    """Fill a folder that is not there, or holds nothing but `ignored`; if the block raises, it is as it was before."""
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    there = sorted(path.name for path in folder.iterdir() if path.name not in beside)
+    there = sorted(path.name for path in folder.iterdir() if path.name not in ignored)
     if there:
         raise InputError(f"{folder} is not empty: it holds {there[0]!r}. Name an empty folder, or a new one")
     try:
         yield
     except BaseException:
         for path in folder.iterdir():
-            if path.is_dir() and path.name not in beside:
+            if path.is_dir() and path.name not in ignored:
                 shutil.rmtree(path)
-            elif path.name not in beside:
+            elif path.name not in ignored:
                 path.unlink()
         if made:
             folder.rmdir()

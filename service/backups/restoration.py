@@ -1,4 +1,4 @@
-"""Restoring a backup into an empty data folder: laid out beside its place, checked whole, then moved there.
+"""Restoring a backup into an empty data folder: laid out next to its place, checked whole, then moved there.
 
 1. Every file of the backup is copied and checked against its digest; one that is missing or differs ends it.
 2. The copy is opened as the service would open it: its tables are brought up to this version, its master key must fit.
@@ -21,7 +21,7 @@ from service.settings import DATABASE, Settings
 from service.trust.audit_check import LogReport, verify_log
 from service.trust.master import FILE as MASTER_FILE
 
-BESIDE = frozenset({"scratch", "numba", "lost+found"})
+IGNORED = frozenset({"scratch", "numba", "lost+found"})
 """What an empty data folder may hold: a container makes the first two before any command runs."""
 
 
@@ -35,7 +35,7 @@ def restore(settings: Settings, source: Path, tell: Callable[[float], None]) -> 
     manifest, data = Manifest.read(source), settings.data_dir.absolute()
     if MASTER_FILE not in manifest.files and settings.master_key is None:
         raise InputError("this backup was taken without the master key: set MARK3DGS_MASTER_KEY to it")
-    with filling(data, beside=BESIDE):
+    with filling(data, ignored=IGNORED):
         stage = data / RESTORING
         stage.mkdir(mode=0o700)
         for number, (name, expected) in enumerate(sorted(manifest.files.items()), start=1):  # 1

@@ -2,9 +2,9 @@
 
 1. The stored files. A file is whole before a row, or a step that a job has kept, names it; it goes only when nothing
    names it any more and it is older than an upload may be.
-2. The job engine's database, then ours, each by SQLite's online backup: one moment of it, while writers go on. Ours is
-   the later moment. So a job that the engine's copy does not know is enqueued again, and one that has ended meanwhile
-   finds nothing left to do. The other way round it would be taken for one that ended without a word, and fail.
+2. The job engine's database, then ours, each by SQLite's online backup: one moment of it, while writers continue.
+   Ours is the later moment. So a job that the engine's copy does not know is enqueued again, and one that has ended
+   meanwhile finds nothing left to do. The other way round it would be taken for one without a result, and fail.
 3. The stored files that came since. What the databases name and 1 has not copied is younger than this backup, and no
    tidying up takes it.
 4. The master key's file, and whatever else lies in the data folder.
@@ -12,7 +12,7 @@
    backup.
 
 What happens meanwhile: an asset or claim deleted before 2 is not in the backup (files of it may be, and go with the
-next tidying up), one deleted after 2 is. A job at work goes on, where the backup is restored, at its last finished
+next tidying up), one deleted after 2 is. A job at work continues, where the backup is restored, at its last finished
 step. Uploads under way are left out: their clients start again. So are what can be made anew (scratch, index of the
 assets, compiled kernels), and `admin.key`.
 """
@@ -41,7 +41,7 @@ from service.trust.master import MasterKey
 LEFT_OUT = {DATABASE, JOBS_DATABASE, "admin.key"}
 """Files of the data folder that are not copied as they lie there; the last was for a person to read and delete."""
 _FLEETING = ("-wal", "-shm", "-journal", ".new", ".part")
-"""Ends of names: SQLite's files beside a database, and files in the making."""
+"""Ends of names: SQLite's own files of a database, and files in the making."""
 
 
 def take(
@@ -106,7 +106,7 @@ def _stored(data: Path) -> list[str]:
 
 
 def _others(data: Path, master_key: bool) -> list[str]:
-    """Files beside databases and stored files."""
+    """Files but databases and stored files."""
     out = LEFT_OUT if master_key else LEFT_OUT | {MASTER_FILE}
     names = sorted(path.name for path in data.iterdir() if path.is_file())
     return [name for name in names if name not in out and not name.endswith(_FLEETING)]

@@ -15,7 +15,7 @@ from service.claims.schema import DRAWN_BY_STAMP, SCHEMA_VERSION
 
 
 class Status(StrEnum):
-    """What came of a check. "Could not check" is an answer of its own."""
+    """Outcome of a check. "Could not check" is an outcome of its own."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -75,7 +75,7 @@ def _search_fault(document: Mapping[str, Any]) -> str:
         if searched["recognised"] != (document["verdict"] == "marked" or derived):
             return "whether an asset was recognised does not follow from the verdict"
         if (document["asset"] is not None) != (searched["recognised"] or searched["scope"] == "one"):
-            return "the claim speaks of an asset that was neither named nor recognised, or of none that was"
+            return "the claim names an asset that was neither requested nor recognised, or omits one that was"
     return ""
 
 
@@ -152,11 +152,11 @@ def _derivation_fault(document: Mapping[str, Any]) -> str:
 
 
 def meaning_check(document: Mapping[str, Any]) -> Check:
-    """Whether the signed words are those that follow from the signed numbers."""
+    """Whether the signed words follow from the signed numbers."""
     made_by = document["tool"]["version"]
     if document["schema_version"] != SCHEMA_VERSION or made_by != version("mark3dgs"):
-        text = f"The meaning is in the words of version {made_by}; they were not made anew."
+        text = f"The meaning is in the words of version {made_by}; this version cannot check them."
         return Check("meaning", Status.NOT_CHECKED, text)
     if document_words(document).meaning == document["meaning"]:
-        return Check("meaning", Status.PASS, "The meaning is the one that this program reads out of the numbers.")
-    return Check("meaning", Status.FAIL, "the signed words are not those that follow from the signed numbers")
+        return Check("meaning", Status.PASS, "The words follow from the numbers.")
+    return Check("meaning", Status.FAIL, "the signed words do not follow from the signed numbers")

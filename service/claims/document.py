@@ -59,25 +59,25 @@ class Summary(BaseModel):
 
 
 def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it speaks of
+    """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it names
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]
     recognised = claim is not None and recognizes(claim)
     unreadable = sum(each["verdict"] == "could_not_check" for each in tried)
     counted = {"compared": len(tried), "unreadable": unreadable, "recognised": recognised}
-    told = {**reply, "searched": {**reply["searched"], **counted}}
+    full = {**reply, "searched": {**reply["searched"], **counted}}
     if recognised or reply["searched"]["scope"] == "one":
-        return told
+        return full
     text = f"None of {reply['searched']['assets']} registered assets was recognised; records compared: {len(tried)}"
     text += f", of which {unreadable} could not be opened." if unreadable else "."
     unnamed = dict.fromkeys(("asset", "claim", "attested", "drawing", "registered_message", "regions"))
     kept = {name: digest for name, digest in reply["kept"].items() if name == "suspect"}  # the others show an asset
-    return told | unnamed | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
+    return full | unnamed | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Examined:
-    """What was examined: the files handed in, and the pictures that were drawn for the report."""
+    """What was examined: the suspect's files, and the pictures that were drawn for the report."""
 
     sha256: Sequence[str]  # of each file, in order
     pictures: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by name, stored already
@@ -140,7 +140,7 @@ def build_document(
         **(_found(claim, reply["registered_message"]) if claim is not None else _NOTHING),
     }
     if acquisition is not None:
-        ok = True if acquisition["timestamp"] is not None else None  # without, it is the service's word
+        ok = True if acquisition["timestamp"] is not None else None  # without, only the service states it
         plain["checks"].append({"code": "acquisition", "ok": ok, "text": _acquisition_text(acquisition)})
     if claim is None and reply["searched"]["compared"] > reply["searched"]["unreadable"]:
         plain["missing"] = "something of a registered asset that can be recognised"
@@ -161,9 +161,9 @@ def build_document(
 
 
 def _acquisition_text(acquisition: Mapping[str, Any]) -> str:
-    """Where the suspect comes from, and who vouches for it."""
+    """Where the suspect comes from, and who attests it."""
     url, token = acquisition["url"], acquisition["timestamp"]
-    origin = f"was fetched from {url}" if url else "was handed in"
+    origin = f"was fetched from {url}" if url else "was uploaded"
     text = f"The suspect {origin} on {when(acquisition['at'])}, as the issuing service states; "
     if token is None:
         return text + "no third party attests the time."
@@ -229,20 +229,20 @@ def _found(claim: Mapping[str, Any], registered: str) -> Document:
 
 
 def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Words:
-    """The document in the engine's words; those of an old document are made anew, but for its own `meaning`."""
+    """The document in the engine's words; an old document's words are written anew, but for its own `meaning`."""
     subject = document["subject"]
     pictures = len(subject["sha256"]) if subject["kind"] == "pictures" else 0
     return words_of(_claim_of(document), form, pictures=pictures)
 
 
 def document_reading(document: Mapping[str, Any]) -> Reading:
-    """What was read, as `mark3dgs verify --json` has it."""
+    """The reading, as `mark3dgs verify --json` has it."""
     read = reading_of(_claim_of(document), (document["message"] or {}).get("registered"))
     return cast("Reading", read.to_json())
 
 
 def no_pack(document: Mapping[str, Any]) -> str:
-    """Why there is nothing to ask a platform for; "" where there is."""
+    """Why there is no pack for a platform; "" where there is one."""
     if document["verdict"] == "not_marked":
         return "the suspect is the unmarked original, or a part of it: your watermark is not in it"
     if not recognizes(_claim_of(document)):
@@ -261,7 +261,7 @@ def _claim_of(document: Mapping[str, Any]) -> Document:
         **{theirs: threshold.get(name) for name, theirs in _THRESHOLD.items()},
         **{name: evidence.get(name) for name in _EVIDENCE},
         "searched": document.get("searched"),
-        "registered_at": "",  # what the owner says is not in it: the log's word is
+        "registered_at": "",  # the owner's own date is not in it: the log's is
         "attested": document.get("attested"),
     }
     if document["schema_version"] == 1:
@@ -280,7 +280,7 @@ def _of_first_version(document: Mapping[str, Any]) -> Document:
 
 
 def summary_of(document: Mapping[str, Any]) -> Summary:
-    """The words as the API hands them out next to the document."""
+    """The words as the API returns them with the document."""
     words = document_words(document)
     return Summary(
         headline=words.headline,

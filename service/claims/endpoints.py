@@ -29,7 +29,7 @@ class ClaimSummary(BaseModel):
     """A claim in a list."""
 
     id: str
-    suspects: list[str] = Field(description="Names of the files handed in; empty for claims of earlier versions.")
+    suspects: list[str] = Field(description="Names of the suspect's files; empty for claims of earlier versions.")
     asset_id: str | None
     asset_label: str | None = Field(description="null where no asset was recognised, or it was deleted.")
     copy_name: str | None = Field(description="Recipient of the copy that was recognised; null where none was.")
@@ -59,7 +59,7 @@ def list_claims(
     caller: Reader,
     limit: Limit = 20,
     after: After = "",
-    verdict: Annotated[Literal["marked", "not_marked", "inconclusive"] | None, Query(description="With it.")] = None,
+    verdict: Annotated[Literal["marked", "not_marked", "inconclusive"] | None, Query(description="Verdict.")] = None,
     asset: Annotated[str, Query(max_length=64, pattern=NO_ZERO, description="About the asset of this id.")] = "",
     q: Annotated[Words, Query(description=SOUGHT)] = "",
 ) -> ClaimList:
@@ -93,7 +93,7 @@ def get_claim(claim_id: str, core: Core, caller: Follower) -> SignedClaim:
 
 @router.delete("/v1/claims/{claim_id}", status_code=204, operation_id="deleteClaim", responses=OF_OWN)
 def delete_claim(claim_id: str, core: Core, caller: Admin) -> None:
-    """Delete a claim and its pictures here. What was handed out stays signed; the log keeps that it was issued."""
+    """Delete a claim and its pictures here. Copies handed out stay valid; the log keeps that it was issued."""
     forget(core.db, claims, caller.tenant, claim_id)
 
 
@@ -111,14 +111,14 @@ def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     response_class=Response,
     responses={**ZIP, **responses("unauthorized", "forbidden", "not-found", "conflict", "invalid-request")},
 )
-def get_pack(claim_id: str, core: Core, caller: Follower, told: Annotated[OwnerStatement, Query()]) -> Response:
-    """What to send a platform: comparison, finding in words, notice with blanks, and the signed claim."""
-    return pack_file(core, visible(core, caller, claims, claim_id), told)
+def get_pack(claim_id: str, core: Core, caller: Follower, given: Annotated[OwnerStatement, Query()]) -> Response:
+    """Documents for a platform: comparison, finding in words, notice with blanks, and the signed claim."""
+    return pack_file(core, visible(core, caller, claims, claim_id), given)
 
 
 @router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())
 def key_set(core: Core, response: Response) -> KeySet:
-    """Public keys of claims, those of the past too."""
+    """Public keys that verify claims, retired ones too."""
     response.headers["Cache-Control"] = "public, max-age=300"
     return KeySet(keys=jwks(core.db)["keys"])
 
@@ -146,6 +146,6 @@ def _summary(row: Any, label: str | None) -> ClaimSummary:
         "finding": words.finding,
         "suspects": row.names.split("\n") if row.names else [],
     }
-    told = {name: document[name] for name in ("verdict", "log10_false_claim")}
+    signed = {name: document[name] for name in ("verdict", "log10_false_claim")}
     about = {"asset_id": row.asset, "asset_label": label, "copy_name": document["copy"]}
-    return ClaimSummary(id=row.id, created_at=row.created_at, **about, **said, **told)
+    return ClaimSummary(id=row.id, created_at=row.created_at, **about, **said, **signed)

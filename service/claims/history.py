@@ -1,4 +1,4 @@
-"""Whether claims speak of one log: what is proven of its beginning, within a claim and from one claim to another."""
+"""Whether claims are of one log: what is proven of its beginning, within a claim and from one claim to another."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

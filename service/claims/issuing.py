@@ -14,7 +14,7 @@ from service.claims.document import Examined, Registered, build_document, docume
 from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
-from service.db import Database, alone
+from service.db import Database, take_write_lock
 from service.db.schema import acquisitions, assets, claims
 from service.jobs.port import Job
 from service.problems import Problem
@@ -102,11 +102,11 @@ def issue_claim(
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
-    `reply` is that of `service.claims.document.of_what_was_found`; `issuer` says who we are.
+    `reply` is of `service.claims.document.of_what_was_found`; `issuer` names this service.
     "conflict" where the acquisition was deleted meanwhile,
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
-    alone(connection)
+    take_write_lock(connection)
     query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)
     if (row := connection.execute(query).one_or_none()) is not None:
         return IssuedClaim(row.id, json.loads(row.document), row.jws)
@@ -136,7 +136,7 @@ def issue_claim(
 
 
 def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
-    """Ask for a time stamp and keep it with the claim. Returns why there is none, or "" if there is one.
+    """Request a time stamp and keep it with the claim. Returns why there is none, or "" if there is one.
 
     A claim that has a stamp keeps it. Never raises for the time-stamping service's sake.
     """

@@ -1,4 +1,4 @@
-"""What a law asks a notice to a platform to contain, filled from a claim; what only a person can say stays a blank.
+"""What a law requires of a notice to a platform, filled from a claim; what only a person can say stays a blank.
 
 17 U.S.C. 512(c)(3)(A)(i)-(vi), and article 16(2)(a)-(d) of Regulation (EU) 2022/2065 (DSA). A blank stands in brackets.
 """

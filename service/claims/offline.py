@@ -5,7 +5,7 @@
 3. The document's form.                        7. What was drawn for the record follows from a time stamp.
 4. Its numbers and words follow from others.   8. What stands around the claim says what was signed.
                                                9. The time stamp, if there is one.
-10. Where the suspect comes from, as far as somebody says so.
+10. Where the suspect comes from, as far as it is stated.
 """
 
 import base64
@@ -29,6 +29,8 @@ from service.claims.report import report_html
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.trust.canonical import canonical, digest
 from service.trust.commitments import ACQUISITION_MADE, ASSET_REGISTERED, CLAIM_ISSUED, acquisition_facts, claim_digest
+
+UNTRUSTED = "no trusted certificate was given"
 
 
 @dataclass(frozen=True)
@@ -77,21 +79,21 @@ def verify_report(
     except SignatureFault as error:
         say("signature", str(error), "")
         return Findings(tuple(checks))
-    say("signature", "", f"Signed by the key {kid}, which is among those given.")
+    say("signature", "", f"Signed by the key {kid}, one of the given keys.")
     document, fault = _read(payload)  # 3
-    if not say("schema", fault, "The document has the form that this program writes.") or document is None:
+    if not say("schema", fault, "The document has the expected form.") or document is None:
         return Findings(tuple(checks), None, kid)
     if say("arithmetic", arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence."):  # 4
         checks.append(meaning_check(document))
     audit = document["audit"]
     where = f"entry {audit['index']} of the log of {audit['size']} entries"
-    say("log", _log_fault(document), f"The claim is {where}, by its inclusion proof.")  # 5
+    say("log", _log_fault(document), f"The claim is {where} (inclusion proof).")  # 5
     if document["asset"] is not None:  # 6
-        good = f"The asset was registered in the same log before, on {document['registered_at']}."
+        good = f"The asset was registered earlier in the same log, on {document['registered_at']}."
         say("registration", _registration_fault(document), good)
     if earlier := audit.get("earlier"):
         sizes = " and ".join(str(each["size"]) for each in earlier)
-        say("history", history_fault(audit), f"The log begins as it was when it had {sizes} entries.")
+        say("history", history_fault(audit), f"The log is consistent with its state at {sizes} entries.")
     checks += against_others(document, others, jwks)
     if document.get("drawing") is not None:  # 7
         checks.append(_drawing(document, tsa_certificates, listed))
@@ -132,7 +134,7 @@ def _log_fault(document: Mapping[str, Any]) -> str:
     }
     for name, value in expected.items():
         if entry[name] != value:
-            return f"the log's entry speaks of another claim (its {name} differs)"
+            return f"the log's entry is of another claim (its {name} differs)"
     return "" if _included(entry, audit["proof"], audit) else "the inclusion proof does not lead to the log's root"
 
 
@@ -208,7 +210,7 @@ def _around(data: bytes, carried: Carried, document: Document, payload: bytes) -
 
 
 def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
-    """Whether words around the claim are those that this program makes of it."""
+    """Whether the words around the claim are the ones that this program writes for it."""
     if same:
         return Check(code, Status.PASS, f"Every word of the {code} follows from what was signed.")
     ours = document["tool"]["version"]
@@ -231,12 +233,12 @@ def _stamp(
     try:
         if certificates:
             at = check_stamp(token, jws.encode(), certificates)
-            text = f"Stamped on {at} by a service that was vouched for{_kind(token, listed)}."
+            text = f"Stamped on {at} by a trusted service{_kind(token, listed)}."
             return Check("timestamp", Status.PASS, text)
         at = stamped_at(token, jws.encode())
     except TimestampFault as fault:
         return Check("timestamp", Status.FAIL, str(fault))
-    text = f"A stamp of {at} is there; who gave it was not checked, for want of a certificate to trust."
+    text = f"A time stamp of {at} is there; its author was not checked: {UNTRUSTED}."
     return Check("timestamp", Status.NOT_CHECKED, text)
 
 
@@ -252,50 +254,51 @@ def _drawing(
         stamped_at(draw.token, draw.stamped)
         drawn = drawn_from(draw.token)
         if found["entry"]["payload"].get("drawn_sha256") != hashlib.sha256(drawn.encode()).hexdigest():
-            raise TimestampFault("the time stamp draws something else than was registered")
+            raise TimestampFault("the time stamp's draw is not the registered one")
         if certificates:
-            word = draw.check(drawn, certificates)
-            text = f"Drawn on {word.at} by {word.by}, who was vouched for{_kind(draw.token, listed)}."
+            witness = draw.check(drawn, certificates)
+            text = f"Drawn on {witness.at} by {witness.by}, a trusted service{_kind(draw.token, listed)}."
             return Check("drawing", Status.PASS, text)
     except (TimestampFault, ValueError) as fault:
         return Check("drawing", Status.FAIL, str(fault))
-    text = "The rate rests on a time stamp; who gave it was not checked, for want of a certificate to trust."
+    text = f"The rate rests on a time stamp; its author was not checked: {UNTRUSTED}."
     return Check("drawing", Status.NOT_CHECKED, text)
 
 
 def _acquisition(
     document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
 ) -> Check:
-    """Whether the suspect is what was acquired, that was logged before the claim, and who says when it existed."""
-    told, audit = document.get("acquisition"), document["audit"]
+    """Whether the suspect is the acquired file, logged before the claim, and who attests when it existed."""
+    acquired, audit = document.get("acquisition"), document["audit"]
     found = audit.get("acquisition")
-    if told is None or found is None:
+    if acquired is None or found is None:
         return Check("acquisition", Status.FAIL, "the claim and the log do not both name an acquisition")
-    facts, entry = acquisition_facts(told), found["entry"]
-    logged = (ACQUISITION_MADE, told["id"], audit["entry"]["tenant"], digest(facts))
+    facts, entry = acquisition_facts(acquired), found["entry"]
+    logged = (ACQUISITION_MADE, acquired["id"], audit["entry"]["tenant"], digest(facts))
     if logged != (entry["event"], entry["subject"], entry["tenant"], entry["payload"].get("digest")):
-        return Check("acquisition", Status.FAIL, "the log's entry speaks of another acquisition")
+        return Check("acquisition", Status.FAIL, "the log's entry names another acquisition")
     if entry["index"] >= audit["index"] or not _included(entry, found["proof"], audit):
         return Check("acquisition", Status.FAIL, "the acquisition is not in the log, or came after the claim")
-    if told["at"] > entry["at"]:
+    if acquired["at"] > entry["at"]:
         return Check("acquisition", Status.FAIL, "the acquisition was logged before it was made")
-    if told["payload_sha256"] not in document["subject"]["sha256"]:
+    if acquired["payload_sha256"] not in document["subject"]["sha256"]:
         return Check("acquisition", Status.FAIL, "the file that was acquired is not the suspect")
-    origin = f"The suspect is the file that {'was fetched' if told['url'] else 'was handed in'} on {told['at']}"
-    origin += f" from {told['url']}, by the word of the service" if told["url"] else ", from where its owner says"
-    if told["timestamp"] is None:
-        text = f"{origin}; that it existed by then is the word of the service, whose log has it on {entry['at']}."
+    url = acquired["url"]
+    origin = f"The suspect is the file that was {'fetched' if url else 'uploaded'} on {acquired['at']}"
+    origin += f" from {url}, as the service states" if url else "; only its owner states its origin"
+    if acquired["timestamp"] is None:
+        text = f"{origin}; only the service states that it existed by then: its log has it on {entry['at']}."
         return Check("acquisition", Status.NOT_CHECKED, text)
     try:
-        token, stamped = base64.b64decode(told["timestamp"], validate=True), canonical(facts)
+        token, stamped = base64.b64decode(acquired["timestamp"], validate=True), canonical(facts)
         at = check_stamp(token, stamped, certificates) if certificates else stamped_at(token, stamped)
     except (TimestampFault, ValueError) as fault:
         return Check("acquisition", Status.FAIL, f"the time stamp of the acquisition: {fault}")
     if certificates:
         text = f"{origin}; {authority_of(token)} attests that it existed on {at}{_kind(token, listed)}."
         return Check("acquisition", Status.PASS, text)
-    text = f"{origin}; a time stamp says that it existed on {at}; who gave it was not checked, for want of a"
-    return Check("acquisition", Status.NOT_CHECKED, f"{text} certificate to trust.")
+    text = f"{origin}; a time stamp says that it existed on {at}; its author was not checked: {UNTRUSTED}."
+    return Check("acquisition", Status.NOT_CHECKED, text)
 
 
 def _canonical_or_none(value: Any) -> bytes | None:

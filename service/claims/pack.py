@@ -1,6 +1,6 @@
-"""The takedown pack: what a platform is sent about a copy, as one ZIP. The same claim and words give the same bytes.
+"""The takedown pack: what is sent to a platform about a copy, as one ZIP. The same claim and words give the same bytes.
 
-Pictures of an unmarked original have no place in it (`PICTURES`): it goes to strangers.
+Pictures of an unmarked original have no place in it (`PICTURES`): it goes to third parties.
 """
 
 import io
@@ -39,21 +39,21 @@ _SINCE = (1980, 1, 1, 0, 0, 0)
 
 
 def shown_in_pack(pictures: Mapping[str, Any]) -> list[str]:
-    """Names of the pictures of a claim that may be shown to strangers."""
+    """Names of the pictures of a claim that third parties may see."""
     return [name for name in PICTURES if name in pictures and (name == "suspect" or "asset" in pictures)]
 
 
 def make_pack(
-    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, told: OwnerStatement
+    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, given: OwnerStatement
 ) -> bytes:
     """The ZIP of a signed claim; `pictures`: PNG bytes of those that `shown_in_pack` names.
 
-    "conflict" where the claim recognised nothing, or the owner's unmarked original: nothing to ask a platform for.
+    "conflict" where the claim recognised nothing, or the owner's unmarked original: there is no copy to take down.
     """
     if reason := no_pack(document):
         raise Problem("conflict", f"{reason}, so there is nothing to take down")
     if pictures.keys() != set(shown_in_pack(pictures)):
-        raise ValueError(f"not to be shown to strangers: {sorted(pictures)}")
+        raise ValueError(f"not for third parties: {sorted(pictures)}")
     issuer, digests = document.get("issuer") or {}, document["pictures"]
     owner = (document.get("owner") or {}).get("name", "")
     address = issuer.get("address") or "[address of the service that issued the claim]"
@@ -71,23 +71,23 @@ def make_pack(
         "names": NAMES,
         "captions": captions_of(document),
         "digests": [(name, digests[name]) for name in pictures],
-        "told": told,
-        "found_at": [*map(str, told.copy_url)] or ([acquired] if acquired else []),
-        "note": [part for line in told.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
+        "given": given,
+        "found_at": [*map(str, given.copy_url)] or ([acquired] if acquired else []),
+        "note": [part for line in given.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
     }
     names = ["finding", "notice"]
-    if told.law is not None:
+    if given.law is not None:
         names.append("statement")
         finding = about["words"].finding
         parts = elements(
-            told.law,
+            given.law,
             document,
             finding,
             about["owner"] or "[name of the owner]",
             about["found_at"],
-            str(told.original_url or ""),
+            str(given.original_url or ""),
         )
-        about |= {"title": TITLES[told.law], "elements": parts, "blank": [part for part in parts if part.blanks]}
+        about |= {"title": TITLES[given.law], "elements": parts, "blank": [part for part in parts if part.blanks]}
     files = {f"{name}.txt": _texts().get_template(f"{name}.txt").render(about).encode() for name in names}
     files |= {f"signed/{name}.png": data for name, data in pictures.items()}
     if "asset" in pictures:

@@ -1,4 +1,4 @@
-"""A claim as it is handed out: with its summary, as a page, as a pack."""
+"""A claim as it is delivered: with its summary, as a page, as a pack."""
 
 import base64
 import json
@@ -46,11 +46,11 @@ def report_page(service: Service, row: Any) -> Response:
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
 
 
-def pack_file(service: Service, row: Any, told: OwnerStatement) -> Response:
+def pack_file(service: Service, row: Any, given: OwnerStatement) -> Response:
     """The claim's pack; conflict where it recognised nothing."""
     from service.claims.pack import make_pack, shown_in_pack
 
     document, digests = json.loads(row.document), json.loads(row.pictures)
     pictures = {name: service.blobs.read(digests[name]) for name in shown_in_pack(digests)}
     headers = {"Content-Disposition": f'attachment; filename="{row.id}-pack.zip"', "Cache-Control": "no-store"}
-    return Response(make_pack(document, row.jws, pictures, row.timestamp, told), headers=headers, media_type=PACK_TYPE)
+    return Response(make_pack(document, row.jws, pictures, row.timestamp, given), headers=headers, media_type=PACK_TYPE)

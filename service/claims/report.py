@@ -37,14 +37,14 @@ CAPTIONS = {
 }
 
 BEFORE = (
-    "Where on the registered model the mark was found: orange speaks for the mark, blue against it, grey says nothing."
+    "Where on the registered model the mark was found: orange is evidence for the mark, blue against it, grey neither."
     " Each patch sums many secret positions, so none can be read off."
 )
 """Of the map in claims of before, which knew no regions."""
 
 
 def captions_of(document: Mapping[str, Any]) -> dict[str, str]:
-    """What is said under each picture of a claim."""
+    """Captions of a claim's pictures."""
     return CAPTIONS if document.get("regions") is not None else CAPTIONS | {"heatmap": BEFORE}
 
 

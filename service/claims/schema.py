@@ -51,7 +51,7 @@ class Subject(_Part):
     """What was examined."""
 
     kind: Literal["model", "pictures"]
-    sha256: list[str] = Field(min_length=1, description="Of each file handed in, hex, in order.")
+    sha256: list[str] = Field(min_length=1, description="Of each file of the suspect, hex, in order.")
     format: str = Field(description="File format of a model, or `pictures`.")
     gaussians: int | None = Field(description="Of a model.")
 
@@ -64,7 +64,7 @@ class Issuer(_Part):
 
 
 class Owner(_Part):
-    """Who asked; the log's entries name the tenant."""
+    """The owner of the claim; the log's entries name the tenant."""
 
     name: str = Field(description="Display name of the tenant, as the operator entered it.")
 
@@ -137,7 +137,7 @@ class RegionCounts(_Part):
 
 
 class Derivation(_Part):
-    """Whether the suspect was made from the asset; stands whatever became of the mark."""
+    """Whether the suspect was made from the asset, independent of the mark."""
 
     derived: bool
     share: float | None = Field(description="Share of the registered model's Gaussians found in the suspect.")
@@ -180,8 +180,8 @@ class Acquisition(_Part):
     payload_sha256: str = Hex64
     warc_sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="Of the WARC file (ISO 28500) that has all of it.")
     timestamp: str | None = Field(
-        description="RFC 3161 token of the members above as canonical JSON, base64: a third party's word that they, and"
-        " so the suspect, existed by then; null where there is only the service's."
+        description="RFC 3161 token of the members above as canonical JSON, base64: a third party's proof that they,"
+        " and so the suspect, existed by then; null where only the service states it."
     )
 
 
@@ -191,7 +191,7 @@ class Condition(_Part):
     kind: Literal["registered_before", "suspect_since"]
     date: str | None = Field(description="Since when the suspect is known, ISO 8601; null of the other kind.")
     by: Literal["owner", "attestation"] = Field(
-        description="Who vouches for it: the owner's word, or an attestation that does not exist yet."
+        description="What supports it: the owner's statement, or an attestation that does not exist yet."
     )
     text: str = Field(description="The same in words.")
 
@@ -336,14 +336,14 @@ Note = Annotated[str, StringConstraints(max_length=1000)]
 
 
 class OwnerStatement(BaseModel):
-    """What only the owner knows and wants. It is put into the pack as the owner's word, and kept nowhere."""
+    """The owner's own statements. They are put into the pack as such, and kept nowhere."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    copy_url: list[Url] = Field([], max_length=10, description="Where the copy was found; give it once for each place.")
+    copy_url: list[Url] = Field([], max_length=10, description="Where the copy was found; repeatable.")
     original_url: Url | None = Field(None, description="Where the original is published.")
     law: Literal["dmca", "dsa"] | None = Field(
         None,
         description="Adds statement.txt: what 17 U.S.C. 512(c)(3)(A), or DSA article 16(2), asks for, and a list of the"
         " parts that are still blank.",
     )
-    note: Note = Field("", description="Your own words; set off from what was found.")
+    note: Note = Field("", description="Your own statement; shown apart from the finding.")

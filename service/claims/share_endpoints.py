@@ -12,24 +12,24 @@ from service.claims.schema import OwnerStatement
 from service.db import own, schema
 from service.http.access import Core, Follower, Verifier, visible
 from service.http.error_responses import OF_OWN, responses
-from service.http.forms import WHOLE, Asked
+from service.http.forms import WHOLE, RequestBody
 from service.http.results import Time
 
 router = APIRouter(tags=["shares"])
 
 
-class NewShare(Asked):
-    """For how long."""
+class NewShare(RequestBody):
+    """Lifetime of a share."""
 
     model_config = ConfigDict(strict=True, json_schema_extra={"examples": [{"days": 14}]})
-    days: Annotated[int, Field(ge=1, le=90), WHOLE] = Field(14, description="Until the address says nothing any more.")
+    days: Annotated[int, Field(ge=1, le=90), WHOLE] = Field(14, description="Days until the address expires.")
 
 
 FOR_A_WHILE = NewShare()
 
 
 class Share(BaseModel):
-    """An address under which a claim is seen."""
+    """An address that shows a claim."""
 
     model_config = ConfigDict(from_attributes=True)
     id: str
@@ -39,7 +39,7 @@ class Share(BaseModel):
 
 
 class MadeShare(Share):
-    """One just made."""
+    """A share just made."""
 
     url: str = Field(
         description="Link to send; a path alone where the operator set no MARK3DGS_PUBLIC_URL. It is shown only once;"
@@ -48,7 +48,7 @@ class MadeShare(Share):
 
 
 class ShareList(BaseModel):
-    """All that stand, newest first."""
+    """Active shares, newest first."""
 
     items: list[Share]
 
@@ -64,10 +64,10 @@ class ShareList(BaseModel):
 def share_claim(
     claim_id: str, core: Core, caller: Verifier, response: Response, body: NewShare = FOR_A_WHILE
 ) -> MadeShare:
-    """Make an address under which the report is seen without an API key, for some days or until it is revoked.
+    """Make an address that shows the report without an API key, for some days or until it is revoked.
 
-    For keys that may make claims (`verify`), of claims that they see: who has the report can send the file anyway, but
-    a key that only reads shall leave nothing behind that goes on when it is revoked.
+    Needs the scope `verify` and access to the claim. A share outlives its API key, so a key that only reads may not
+    make one.
     """
     token, row = shares.share(core, caller, visible(core, caller, schema.claims, claim_id), body.days)
     response.headers["Cache-Control"] = "no-store"
@@ -83,7 +83,7 @@ def list_shares(claim_id: str, core: Core, caller: Follower) -> ShareList:
 
 @router.delete("/v1/shares/{share_id}", status_code=204, operation_id="revokeShare", responses=OF_OWN)
 def revoke_share(share_id: str, core: Core, caller: Verifier) -> None:
-    """End an address: from now on there is nothing under it."""
+    """Revoke a share: its address shows nothing from now on."""
     row = own(core.db, schema.shares, caller.tenant, share_id)
     visible(core, caller, schema.claims, row.claim)
     shares.revoke(core.db, caller, row)

@@ -1,4 +1,4 @@
-"""Addresses under which strangers see a claim for a time: a token each, of which only the digest is kept."""
+"""Addresses that show a claim to anyone for a time: a token each, of which only the digest is kept."""
 
 import json
 import secrets
@@ -40,8 +40,8 @@ def share(service: Service, caller: Caller, claim: Any, days: int) -> tuple[str,
         if len(_standing(connection, claim.id)) >= MOST:
             raise Problem("budget-exceeded", f"{MOST} addresses of this claim stand: revoke one")
         connection.execute(shares.insert().values(**values, created_at=now(), expires_at=until))
-        told = {"share": share_id, "api_key": caller.key_id, "expires_at": until}
-        audit.append(connection, caller.tenant, "claim.shared", told, claim.id)
+        facts = {"share": share_id, "api_key": caller.key_id, "expires_at": until}
+        audit.append(connection, caller.tenant, "claim.shared", facts, claim.id)
         row = connection.execute(sa.select(shares).where(shares.c.id == share_id)).one()
     return token, row
 
@@ -57,8 +57,8 @@ def revoke(db: Database, caller: Caller, row: Any) -> None:
     with db.exclusive() as connection:
         if connection.execute(sa.delete(shares).where(shares.c.id == row.id)).rowcount == 0:
             raise missing(shares, row.id)
-        told = {"share": row.id, "api_key": caller.key_id}
-        audit.append(connection, caller.tenant, "claim.share_revoked", told, row.claim)
+        facts = {"share": row.id, "api_key": caller.key_id}
+        audit.append(connection, caller.tenant, "claim.share_revoked", facts, row.claim)
 
 
 def shared(db: Database, token: str) -> Any:

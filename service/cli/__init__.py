@@ -1,1 +1,1 @@
-"""Commands of the service, beside those of the engine. No other part imports them."""
+"""Commands of the service, in addition to the engine's. No other part imports them."""

@@ -1,4 +1,4 @@
-"""`mark3dgs acquire`: a suspect, kept as it was found."""
+"""`mark3dgs acquire`: a suspect, preserved as found."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ def acquire(
     seconds: Annotated[float, typer.Option(min=1.0, help="An address that takes longer is given up.")] = 300.0,
     max_bytes: Annotated[int, typer.Option("--max-bytes", min=1, help="Largest file to fetch.")] = 2 << 30,
     tsa: Annotated[
-        str | None, typer.Option("--tsa", metavar="URL", help="Ask this time-stamping service (RFC 3161) for a stamp.")
+        str | None, typer.Option("--tsa", metavar="URL", help="Get a time stamp from this service (RFC 3161).")
     ] = None,
     private: Annotated[
         bool, typer.Option("--private", help="Addresses may be private, loopback and link-local ones.")
     ] = False,
     json: Json = False,
 ) -> int:
-    """Keep a suspect as it was found, before it is examined.
+    """Preserve a suspect as found, before it is examined.
 
     The WARC file has the bytes, the headers, the server's certificates, the
     time and the version of this program. With --tsa a time stamp of it is
-    written beside it (OUT.warc.gz.tsr).
+    written next to it (OUT.warc.gz.tsr).
 
     Examples:
 
@@ -77,7 +77,7 @@ def acquire(
             raise InputError(f"{stamped.failure}; {out} is written without one")
         with whole_file(out.with_name(f"{out.name}.tsr")) as part:
             part.write_bytes(stamped.token)
-    console.say(f"{out}: {report['bytes']:,} bytes {'from ' + source if fetched else 'as handed in'}")
+    console.say(f"{out}: {report['bytes']:,} bytes {'from ' + source if fetched else 'from a file'}")
     console.say(f"  SHA-256 of the suspect {report['payload_sha256']}")
     console.say(f"  SHA-256 of the WARC    {report['warc_sha256']}")
     console.emit(report)

@@ -27,7 +27,7 @@ def create(
     scopes: Annotated[
         str, typer.Option("--scopes", help="Of embed, verify, read, originals, admin, operator; with commas.")
     ] = "embed,verify,read",
-    label: Annotated[str, typer.Option("--label", help="For people.")] = "",
+    label: Annotated[str, typer.Option("--label", help="For display.")] = "",
     json: Json = False,
 ) -> int:
     """Make an API key. It is printed once and kept nowhere.
@@ -67,7 +67,7 @@ def revoke(
     tenant: Tenant = "default",
     json: Json = False,
 ) -> int:
-    """End an API key for good."""
+    """Revoke an API key permanently."""
     from service.trust.api_keys import revoke as end
 
     console, service = _opened(json)
@@ -78,11 +78,11 @@ def revoke(
 
 
 def tenant(
-    tenant: Annotated[str, typer.Argument(metavar="ID", help="As its API keys name it.")],
-    name: Annotated[str, typer.Argument(help="What people call it: claims and reports name it as the owner.")],
+    tenant: Annotated[str, typer.Argument(metavar="ID", help="Id of the tenant, as its API keys name it.")],
+    name: Annotated[str, typer.Argument(help="Display name: claims and reports give it as the owner.")],
     json: Json = False,
 ) -> int:
-    """Say what people call a tenant.
+    """Set a tenant's display name.
 
     Examples:
 
@@ -129,8 +129,8 @@ def rotate_master_key(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Seal all secrets anew under another master key. Stop the service before: workers are looked for, API processes
-    are not.
+    """Encrypt all secrets anew under another master key. Stop the service first: running workers are detected, API
+    processes are not.
 
     The file master.key is replaced. API keys, marks and claims stay valid. Put
     the new key where your backup of the old one is.

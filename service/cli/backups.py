@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def backup(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where it goes: a new folder, or an empty one.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Target: a new folder, or an empty one.")],
     without_master_key: Annotated[
         bool, typer.Option("--without-master-key", help="Leave the master key out: keep it elsewhere, apart.")
     ] = False,
     json: Json = False,
 ) -> int:
-    """Copy a service, which may go on running: databases, stored files and keys.
+    """Back up a service, also while it runs: databases, stored files and keys.
 
     The copy is consistent and was audited as it was made; 'mark3dgs restore'
     makes a service of it. With the master key it gives access to every
@@ -45,7 +45,7 @@ def backup(
             settings, folder, lambda share: progress("copying files", share), master_key=not without_master_key
         )
     keyless = " without the master key: without that, it opens nothing" if without_master_key else ""
-    return _told(console, f"backed up {settings.data_dir} to {folder}{keyless}", manifest, report)
+    return _report(console, f"backed up {settings.data_dir} to {folder}{keyless}", manifest, report)
 
 
 def restore(
@@ -69,13 +69,13 @@ def restore(
     settings = settings_of()
     with console.progress() as progress:
         manifest, report = put_back(settings, folder, lambda share: progress("copying files", share))
-    return _told(console, f"restored {settings.data_dir} from {folder}", manifest, report)
+    return _report(console, f"restored {settings.data_dir} from {folder}", manifest, report)
 
 
-def _told(console: Console, text: str, manifest: Manifest, report: LogReport) -> int:
+def _report(console: Console, text: str, manifest: Manifest, report: LogReport) -> int:
     count = sum(file.bytes for file in manifest.files.values())
     console.say(f"{text}: {len(manifest.files)} files, {size(count)}, begun {manifest.made_at[:19]} UTC")
     console.say(report.text())
-    told = {"made_at": manifest.made_at, "files": len(manifest.files), "bytes": count, "audit": report.to_json()}
-    console.emit(told)
+    summary = {"made_at": manifest.made_at, "files": len(manifest.files), "bytes": count, "audit": report.to_json()}
+    console.emit(summary)
     return 0 if report.ok else 3

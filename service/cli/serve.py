@@ -93,13 +93,13 @@ def serve(
 
 def worker(
     name: Annotated[
-        str, typer.Option("--name", help="Stable name: a worker that comes back under it goes on with its jobs.")
+        str, typer.Option("--name", help="Stable name: a worker restarted under it continues its jobs.")
     ] = "",
     die_with_parent: Annotated[
         bool, typer.Option("--die-with-parent", help="Stop when standard input ends.", hidden=True)
     ] = False,
 ) -> int:
-    """Do jobs of a service that shares its database and blobs.
+    """Run jobs of a service that shares its database and blobs.
 
     Start as many as wanted, on as many machines as wanted, with the same
     MARK3DGS_DATABASE_URL, MARK3DGS_BLOB_URL and MARK3DGS_MASTER_KEY as the API.
@@ -114,7 +114,7 @@ def worker(
 def init(json: Json = False) -> int:
     """Make a service's data folder, its keys and its first API key, and start nothing.
 
-    `serve` does that by itself; every other command wants a service that is there.
+    `serve` does that by itself; every other command needs an existing service.
 
     Examples:
 
@@ -219,7 +219,7 @@ class Crew:
             threading.Thread(target=self._watch, daemon=True).start()
 
     def stop(self) -> None:
-        """End all; a running job goes on with the next start."""
+        """End all; a running job continues at the next start."""
         self._stopping.set()
         for process in self._running.values():
             process.terminate()

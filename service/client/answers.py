@@ -69,14 +69,14 @@ class Job:
                 raise of_problem(self.problem, job=self.id)
             except (KeyError, TypeError, ValueError):
                 pass
-        told = str((self.result or {}).get("text", f"job {self.id} is {self.state}, stage {self.stage!r}"))
+        text = str((self.result or {}).get("text", f"job {self.id} is {self.state}, stage {self.stage!r}"))
         code = self.state if self.state in ("disputed", "cancelled") else "unexpected-answer"
-        raise ServiceError(code if self.ended else "timed-out", told, values={"job": self.id})
+        raise ServiceError(code if self.ended else "timed-out", text, values={"job": self.id})
 
 
 @dataclass(frozen=True)
 class Embedded:
-    """What came of marking a model."""
+    """The result of marking a model."""
 
     asset_id: str
     record_id: str
@@ -136,7 +136,7 @@ class AssetReading(Reading):
 
 @dataclass(frozen=True, kw_only=True)
 class Verified(Reading):
-    """What came of holding a suspect against the record of one asset, or of all: of the asset that says most."""
+    """The result of comparing a suspect with one asset, or with all: of the asset with the strongest evidence."""
 
     claim_id: str
     asset_id: str | None  # None where none of all was recognised
@@ -187,7 +187,7 @@ class Claim:
 
     @property
     def conditions(self) -> list[Condition]:
-        """Those of the document."""
+        """The document's conditions."""
         known = self.document.get("conditions", [])
         return [Condition("", None, "", each) if isinstance(each, str) else Condition(**each) for each in known]
 
@@ -203,7 +203,7 @@ class ClaimSummary:
     finding: str
     log10_false_claim: float
     created_at: str
-    suspects: list[str] = field(default_factory=list)  # of the files handed in
+    suspects: list[str] = field(default_factory=list)  # of the suspect's files
     asset_label: str | None = None
     copy_name: str | None = None
 
@@ -224,7 +224,7 @@ class Acquisition:
     """A suspect kept as it was found."""
 
     id: str
-    url: str | None  # None of a file that was handed in
+    url: str | None  # None for an uploaded file
     at: str
     bytes: int
     payload_sha256: str
@@ -243,8 +243,8 @@ class Webhook:
     events: list[str]
     created_at: str
     waiting: int = 0  # messages that are still to be delivered
-    last_at: str | None = None  # of the last try
-    last_status: int | None = None  # HTTP; None where no answer came
+    last_at: str | None = None  # of the last attempt
+    last_status: int | None = None  # HTTP status; None where no answer came
     last_outcome: str | None = None  # in words
     secret: str | None = None  # shown only once, on creation
 
@@ -254,7 +254,7 @@ class Notice:
     """A mark of the tenant's in what another account uploaded to be marked."""
 
     id: str
-    asset_id: str  # of the tenant; of several copies, the one that says most
+    asset_id: str  # of the tenant; of several copies, the one with the strongest evidence
     copy_named: bool | None  # whether the upload is that copy
     z: float
     log10_false_claim: float
@@ -275,21 +275,21 @@ class Event:
 
 @dataclass(frozen=True)
 class Me:
-    """Whose API key it is that the client has."""
+    """The API key of the client, and its tenant."""
 
     tenant: str
-    name: str  # what people call the tenant
+    name: str  # display name of the tenant
     key: Mapping[str, Any]  # id, label, scopes, prefix
     limits: Mapping[str, Mapping[str, int]]  # name: used, most
 
 
 def embedded(job: Job) -> Embedded:
-    """What an embed job came to; ServiceError where to nothing."""
+    """The result of an embed job; ServiceError if it has none."""
     return read(Embedded, job.outcome())
 
 
 def verified(job: Job) -> Verified:
-    """What a verify job came to; ServiceError where to nothing."""
+    """The result of a verify job; ServiceError if it has none."""
     plain = job.outcome()
     checks = [read(Check, each) for each in plain.get("checks", ())]
     others = [read(AssetReading, each | _bits(each)) for each in plain.get("others", ())]

@@ -54,7 +54,7 @@ def pack(
     original_url: str = "",
     note: str = "",
 ) -> Flow[Path]:
-    """Fetch what to send a platform (ZIP) to a file; with a `law`, the statements that it asks for are in it."""
+    """Fetch the documents for a platform (ZIP) to a file; with a `law`, the statements that it requires are in it."""
     given = {"law": law or "", "copy_url": copy_url, "original_url": original_url, "note": note}
     params = {name: value for name, value in given.items() if value}
     return (yield from _fetch(f"/v1/claims/{quote(claim_id, safe='')}/pack", target, params, silent))
@@ -77,9 +77,9 @@ def _fetch(path: str, target: Target, params: Params, progress: Progress) -> Flo
             etag = yield from _fill(file, Request("GET", path, params), progress)
             file.flush()
             yield Work(partial(os.fsync, file.fileno()))
-        told = re.fullmatch(r'"([0-9a-f]{64})"', etag)
-        if told and (found := (yield Work(partial(digest_of, part)))) != told[1]:
-            raise ServiceError("digest-mismatch", f"{path} came with SHA-256 {found}, announced was {told[1]}")
+        announced = re.fullmatch(r'"([0-9a-f]{64})"', etag)
+        if announced and (found := (yield Work(partial(digest_of, part)))) != announced[1]:
+            raise ServiceError("digest-mismatch", f"{path} came with SHA-256 {found}, announced was {announced[1]}")
         part.replace(goal)
     finally:
         part.unlink(missing_ok=True)

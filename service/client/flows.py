@@ -164,12 +164,12 @@ def _submit(path: str, body: Mapping[str, object]) -> Flow[Job]:
 
 
 def job(job_id: str) -> Flow[Job]:
-    """A job as it stands."""
+    """A job and its state."""
     return read(Job, (yield from _get(address("jobs", job_id))))
 
 
 def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Flow[Job]:
-    """A job once it has ended, however it did; ServiceError "timed-out" after `timeout` seconds: it goes on.
+    """A job once it has ended, however it did; ServiceError "timed-out" after `timeout` seconds: it continues.
 
     A connection that breaks meanwhile is made anew.
     """
@@ -186,7 +186,7 @@ def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = No
             if found.ended:
                 return found
         if until is not None and time.monotonic() + pause > until:
-            text = f"job {job_id} has not ended within {timeout:g} s; it goes on"
+            text = f"job {job_id} has not ended within {timeout:g} s; it continues"
             raise ServiceError("timed-out", text, values={"job": job_id})
         yield Pause(pause)
         pause = min(2 * pause, LONGEST_LOOK)
@@ -205,7 +205,7 @@ def embed(
     timeout: float | None = None,
     **options: Unpack[EmbedOptions],
 ) -> Flow[Embedded]:
-    """Upload a model, have it marked, and wait; ServiceError where nothing came of it (`values["job"]`: the job)."""
+    """Upload a model, have it marked, and wait; ServiceError if it fails (`values["job"]`: the job)."""
     started = yield from submit_embed(model, cameras=cameras, progress=progress, **options)
     return embedded((yield from wait(started.id, progress=progress, timeout=timeout)))
 
@@ -234,7 +234,7 @@ def claim(claim_id: str) -> Flow[Claim]:
 
 
 def me() -> Flow[Me]:
-    """Whose API key this is, what it may do, and how much of the tenant's limits is used."""
+    """The API key of this client, its scopes, and the use of its tenant's limits."""
     return read(Me, (yield from call("GET", "/v1/me")))
 
 
@@ -257,23 +257,23 @@ def jobs(*, state: Sequence[State] = (), kind: Literal["", "embed", "verify", "d
 
 
 def share(claim_id: str, *, days: int = 14) -> Flow[Share]:
-    """Make one that stands for 1 to 90 days; its `url` is shown only once."""
+    """Make a share of a claim for 1 to 90 days; its `url` is shown only once."""
     return read(Share, (yield from call("POST", address("claims", claim_id, "share"), json={"days": days})))
 
 
 def shares(claim_id: str) -> Flow[list[Share]]:
-    """Those of a claim that stand, newest first."""
+    """Active shares of a claim, newest first."""
     found = yield from call("GET", address("claims", claim_id, "shares"))
     return [read(Share, each) for each in found["items"]]
 
 
 def revoke_share(share_id: str) -> Flow[None]:
-    """End one before its time."""
+    """Revoke a share."""
     yield from call("DELETE", address("shares", share_id))
 
 
 def acquire(source: Source, *, progress: Progress = silent) -> Flow[Acquisition]:
-    """Have the service fetch a suspect from an address (http, https), or take a file, and keep it as it is."""
+    """Have the service fetch a suspect from an address (http, https), or take a file, and preserve it unchanged."""
     if isinstance(source, str) and source.startswith(("http://", "https://")):
         body = {"url": source}
     else:
@@ -282,12 +282,12 @@ def acquire(source: Source, *, progress: Progress = silent) -> Flow[Acquisition]
 
 
 def acquisition(acquisition_id: str) -> Flow[Acquisition]:
-    """One of them."""
+    """One acquisition."""
     return read(Acquisition, (yield from _get(address("acquisitions", acquisition_id))))
 
 
 def acquisitions() -> Flow[list[Acquisition]]:
-    """All of the tenant."""
+    """All acquisitions of the tenant."""
     return (yield from _all(Acquisition, "/v1/acquisitions", {}))
 
 
@@ -303,7 +303,7 @@ def add_webhook(url: str, *, events: Sequence[str] = ("job.ended", "mark.found")
 
 
 def webhooks() -> Flow[list[Webhook]]:
-    """Those of the tenant, with what came of the last message to each."""
+    """Webhooks of the tenant, with the outcome of the last message to each."""
     found = yield from call("GET", "/v1/webhooks")
     return [read(Webhook, each) for each in found["items"]]
 
@@ -323,7 +323,7 @@ def _get(path: str, params: Params | None = None) -> Flow[Any]:
 
 
 def address(kind: str, *parts: str) -> str:
-    """Of one thing, or of what belongs to it; an id is never more than one part of a path."""
+    """Path of one thing, or of what belongs to it; an id is never more than one part of a path."""
     return "/".join((f"/v1/{kind}", *(quote(part, safe="") for part in parts)))
 
 

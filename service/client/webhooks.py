@@ -1,4 +1,4 @@
-"""What makes a receiver of a webhook sure of a message.
+"""Checking messages of a webhook, for their receivers.
 
 A message is signed in the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`, HEX being the HMAC-SHA256 of "SECONDS.BODY"
 under the webhook's secret, SECONDS when it was sent (Unix time).
@@ -23,7 +23,7 @@ def signature(secret: str, at: int, body: bytes) -> str:
 
 
 def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLERANCE) -> Event:
-    """What a message says, once it is sure that it is the service's and new; ServiceError "untrusted" otherwise.
+    """The content of a message, if it is the service's and new; ServiceError "untrusted" otherwise.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """The actions of a driver as values, and which requests are sent again. No input or output here.
 
-A *flow* is a generator: it yields actions, is handed what came of each, and returns its result. The two drivers
+A *flow* is a generator: it yields actions, gets the outcome of each, and returns its result. The two drivers
 (`clients.py`) differ only in how they do an action.
 """
 
@@ -60,7 +60,7 @@ class Pause:
 
 @dataclass(frozen=True)
 class Work:
-    """Something that keeps a disk or a processor busy, not the network."""
+    """Work of a disk or a processor, not of the network."""
 
     do: Callable[[], Any]
 
@@ -75,7 +75,7 @@ class Reply:
 
     @property
     def good(self) -> bool:
-        """Done as asked."""
+        """Whether the request succeeded."""
         return 200 <= self.status < 300
 
     def json(self) -> Any:
@@ -86,7 +86,7 @@ class Reply:
             raise self._unexpected() from None
 
     def error(self) -> ServiceError:
-        """What a bad answer means."""
+        """The error of a bad answer."""
         if self.status == 0:
             return ServiceError("unreachable", self.body.decode())
         try:

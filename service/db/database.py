@@ -61,7 +61,7 @@ class Database:
 
     @property
     def exists(self) -> bool:
-        """Whether there are tables of this service; nothing is made by asking."""
+        """Whether there are tables of this service; makes none."""
         if self.is_sqlite and not Path(str(self.engine.url.database)).exists():
             return False
         with self.read() as connection:
@@ -92,7 +92,7 @@ class Database:
     def exclusive(self) -> Iterator[sa.Connection]:
         """As `write`, with one such transaction at a time: what it reads stays true until it ends."""
         with self.write() as connection:
-            alone(connection)
+            take_write_lock(connection)
             yield connection
 
     def query(self, statement: sa.Select[*Ts]) -> sa.Result[*Ts]:
@@ -113,7 +113,7 @@ class Database:
 
         config = _migrations()
         with self.write() as connection:
-            alone(connection)
+            take_write_lock(connection)
             config.attributes["connection"] = connection
             if sa.inspect(connection).has_table("alembic_version"):
                 try:
@@ -130,10 +130,10 @@ class Database:
         self.engine.dispose()
 
 
-def alone(connection: sa.Connection) -> None:
-    """Wait for other transactions that asked for this, and keep them waiting until this one ends.
+def take_write_lock(connection: sa.Connection) -> None:
+    """Wait for other transactions that hold this lock, and keep the next waiting until this one ends.
 
-    On SQLite every writing transaction is alone already. Ask before reading what the write depends on: on
+    On SQLite only one transaction writes at a time anyway. Take it before reading what the write depends on: on
     PostgreSQL a statement sees what was committed before it began.
     """
     if connection.dialect.name == "postgresql":
@@ -151,7 +151,7 @@ def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:
 
 
 def missing(table: sa.Table, row_id: str) -> Problem:
-    """What is said of a row that is not there, or not to be seen."""
+    """The error for a row that does not exist, or is not visible."""
     return Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
 
 

@@ -114,7 +114,7 @@ claims = Table(
     *_texts("document", "jws", "pictures", "created_at"),  # document: canonical JSON; pictures: JSON, name -> sha256
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of the JWS
     Column("verdict", Text, nullable=False, server_default=""),  # as the document has it: for lists
-    Column("names", Text, nullable=False, server_default=""),  # of the files handed in, one a line; not signed
+    Column("names", Text, nullable=False, server_default=""),  # of the suspect's files, one per line; not signed
 )
 
 # Uploads of others in which the mark of an asset was found, for its owner. Not in the audit log: its size is no secret.
@@ -142,7 +142,7 @@ acquisitions = Table(
     *_key("id"),
     *_texts("tenant", index=True),
     *_texts("api_key", "at", "payload_sha256", "warc_sha256", "created_at"),
-    *_texts("url", "upload", null=True),  # url: NULL of a file that was handed in; upload: NULL of no suspect
+    *_texts("url", "upload", null=True),  # url: NULL of an uploaded file; upload: NULL of no suspect
     _number("bytes"),
     _number("warc_bytes"),
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of `trust.commitments.acquisition_facts`

@@ -19,7 +19,7 @@ from service.db.schema import assets, jobs
 from service.http.access import Core, Disputer, Party
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
-from service.http.forms import Asked
+from service.http.forms import RequestBody
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job, State
 from service.problems import Problem
@@ -33,7 +33,7 @@ AssetId = Annotated[str, Field(min_length=1, max_length=64)]
 _EXAMPLE: JsonValue = {"asset_a": "as_d40313a36c48f4baf73fb30a", "asset_b": "as_77f1ce0c1f4b2d2a5a3f9c10"}
 
 
-class DisputeRequest(Asked):
+class DisputeRequest(RequestBody):
     """The two registered assets of a dispute."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
@@ -42,7 +42,7 @@ class DisputeRequest(Asked):
 
 
 class DisputeResult(TypedDict):
-    """What the job of a dispute has come to."""
+    """The result of a dispute's job."""
 
     document: dict[str, Any]
     jws: str
@@ -93,15 +93,15 @@ def get_dispute_report(dispute_id: str, core: Core, caller: Party) -> Response:
 
 
 def _submit(core: Service, caller: Caller, body: DisputeRequest, retry_key: str | None) -> Job:
-    asked = {"assets": [body.asset_a, body.asset_b]}
+    request = {"assets": [body.asset_a, body.asset_b]}
 
     def make() -> Mapping[str, list[str]]:
         limit = core.settings.verifies_per_hour
         spend(core.db, f"verify:{caller.key_id}", limit, 1, "verify jobs of this API key")
         agreed(core, caller, (body.asset_a, body.asset_b))
-        return asked
+        return request
 
-    return submit(core, caller, "dispute", retry_key, {"dispute": asked}, make)
+    return submit(core, caller, "dispute", retry_key, {"dispute": request}, make)
 
 
 def _found(core: Service, caller: Caller, dispute_id: str) -> DisputeResult:
@@ -112,8 +112,8 @@ def _found(core: Service, caller: Caller, dispute_id: str) -> DisputeResult:
         row = connection.execute(jobs.select().where(jobs.c.id == job_id, jobs.c.kind == "dispute")).one_or_none()
         if row is None or row.state != State.SUCCEEDED or not dispute_id.startswith("di_"):
             raise missing
-        asked = json.loads(row.request)["assets"]
-        owners = connection.execute(sa.select(assets.c.tenant).where(assets.c.id.in_(asked))).scalars().all()
+        ids = json.loads(row.request)["assets"]
+        owners = connection.execute(sa.select(assets.c.tenant).where(assets.c.id.in_(ids))).scalars().all()
     if OPERATOR not in caller.scopes and caller.tenant not in owners:
         raise missing
     result: DisputeResult = json.loads(row.result)
@@ -124,7 +124,7 @@ CONSENTED = "dispute.consented"
 
 
 def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
-    """Note the caller's consent to a dispute about two assets; "conflict" while that of the other owner lacks.
+    """Note the caller's consent to a dispute about two assets; "conflict" while the other owner's is missing.
 
     "not-found" where neither asset is the caller's; a "conflict", too, where both are one.
     """

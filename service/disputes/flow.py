@@ -1,4 +1,4 @@
-"""The steps of a dispute: hold two assets against each other, then log and sign what came of it."""
+"""The steps of a dispute: compare two assets, then log and sign the finding."""
 
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -28,14 +28,14 @@ def dispute_flow(service: Service) -> Flow:
 
 def _settle(service: Service, run: Run) -> Reply:
     """Look for both marks in both originals and both published models."""
-    asked = run.job.request["assets"]
-    rows = {row.id: row for row in service.db.query(assets.select().where(assets.c.id.in_(asked)))}
-    if len(rows) < len(asked):
+    ids = run.job.request["assets"]
+    rows = {row.id: row for row in service.db.query(assets.select().where(assets.c.id.in_(ids)))}
+    if len(rows) < len(ids):
         raise Problem("conflict", "an asset in question is gone")
-    known = {each["asset"]: each for each in service.candidates([rows[name] for name in asked], run)}
-    if len(known) < len(asked):
+    known = {each["asset"]: each for each in service.candidates([rows[name] for name in ids], run)}
+    if len(known) < len(ids):
         raise Problem("conflict", "the owner key of an asset in question was erased: import it again")
-    parties = [{**known[name], "model": service.local(rows[name].model_sha256, run)} for name in asked]
+    parties = [{**known[name], "model": service.local(rows[name].model_sha256, run)} for name in ids]
     return service.do_task(run, "dispute", {"parties": parties})
 
 

@@ -13,7 +13,7 @@ from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
 from service.http.budgets import spend
-from service.http.forms import WHOLE, Asked, Files, form_schema, read_form
+from service.http.forms import WHOLE, Files, RequestBody, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -30,7 +30,7 @@ _GIVEN: dict[str, JsonValue] = {"message": {"type": "string"}, "bits": {"type": 
 _EXAMPLE: JsonValue = {"upload_id": "up_d40313a36c48f4baf73fb30a", "copy_name": "acme", "profile": "fast"}
 
 
-class EmbedRequest(Asked):
+class EmbedRequest(RequestBody):
     """What to mark, under which key, and how."""
 
     model_config = ConfigDict(
@@ -41,7 +41,7 @@ class EmbedRequest(Asked):
         None,
         min_length=1,
         max_length=64,
-        description="Owner key of this tenant; left out: its only one, which the first embed makes.",
+        description="Owner key of this tenant; left out: its only one, made by the first embed.",
     )
     message: str | None = Field(
         None, pattern="^([0-9a-fA-F]{2}){2,32}$", description="16 to 256 bits; drawn from the key if left out."
@@ -58,23 +58,23 @@ class EmbedRequest(Asked):
     )
     budget: float | None = Field(None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all.")
     output: Literal["fidelity", "compact"] | None = Field(
-        None, description="Keep each Gaussian's residual, or drop it; as the profile has it if left out."
+        None, description="Keep each Gaussian's residual, or drop it; profile default if left out."
     )
-    format: Format | None = Field(None, description="Of the marked model; that of the upload if left out.")
+    format: Format | None = Field(None, description="Format of the marked model; the upload's if left out.")
     copy_name: str = Field("", max_length=100, description="Recipient: each copy has a mark of its own.")
-    label: str = Field("", max_length=200, description="For people; the file's name if left out.")
+    label: str = Field("", max_length=200, description="For display; the file's name if left out.")
     cameras_upload_id: str | None = Field(
         None,
         min_length=1,
         max_length=64,
         description="cameras.json or transforms.json; views are generated if left out.",
     )
-    spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that does not say.")
+    spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that states none.")
 
     @model_validator(mode="after")
     def _one_length(self) -> EmbedRequest:
         if self.message is not None and self.bits is not None:
-            raise ValueError("give message or bits, not both: a message has a length of its own")
+            raise ValueError("provide message or bits, not both: a message has its own length")
         return self
 
 
@@ -106,7 +106,7 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
     for name, upload_id in (("model", body.upload_id), ("cameras", body.cameras_upload_id)):
         named, brought = [upload_id] if upload_id else [], files.get(name, [])
         if len(named) + len(brought) > 1:
-            raise Problem("invalid-request", f"give one {name}, as a file or as an upload")
+            raise Problem("invalid-request", f"provide one {name}, as a file or as an upload")
         rows = gather(core, caller, named, brought, name)
         digests[name] = rows[0].sha256 if rows else None
         names[name] = [row.name for row in rows]

@@ -46,9 +46,9 @@ def _embed(service: Service, run: Run) -> Reply:
 
     No owner key but the one that marks enters a process that reads the upload.
     """
-    asked = run.job.request
-    owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
-    model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
+    request = run.job.request
+    owner = open_key(service.db, service.master, run.job.tenant, request["key_id"])
+    model = {"model": service.local(request["model"], run), "spz_frame": request["spz_frame"]}
     screening = _screen(service, run, model)
     draws = draws_for(service.settings)
     return service.do_task(
@@ -56,14 +56,14 @@ def _embed(service: Service, run: Run) -> Reply:
         "embed",
         {
             **model,
-            "cameras": service.local(asked["cameras"], run),
+            "cameras": service.local(request["cameras"], run),
             "key": owner.secret.hex(),
-            "bits": asked["bits"] or 32,
-            "copy": asked["copy_name"],
+            "bits": request["bits"] or 32,
+            "copy": request["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
             "draws": draws,
             "earlier": _earlier(service, run),
-            **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
+            **{name: request[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
         partial(stamp_to_draw, service.db, service.settings) if draws else None,
     ) | {"screening": screening}
@@ -85,9 +85,9 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
 def _earlier(service: Service, run: Run) -> str:
     """Where the record of the newest copy of this model under this key lies, "" if there is none: what was drawn for it
     holds for all copies, which share a layer; and it saves time."""
-    asked = run.job.request
-    mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == asked["key_id"])
-    query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == asked["model"]))
+    request = run.job.request
+    mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == request["key_id"])
+    query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == request["model"]))
     row = service.db.query(query.order_by(assets.c.registered_at.desc())).first()
     return "" if row is None else service.local_or_gone(row.record_sha256, run)
 
@@ -114,19 +114,19 @@ def _commit(service: Service, run: Run) -> Ending:
 
 
 def _row(job: Job, made: Mapping[str, Any], registered_at: str) -> dict[str, str]:
-    asked, kept = job.request, made["kept"]
+    request, kept = job.request, made["kept"]
     return {
         "id": "as_" + job.id.removeprefix("job_"),
         "tenant": job.tenant,
         "job": job.id,
-        "owner_key": asked["key_id"],
-        "label": asked["label"] or ", ".join(asked.get("names") or ())[:200],
-        "copy": asked["copy_name"],
+        "owner_key": request["key_id"],
+        "label": request["label"] or ", ".join(request.get("names") or ())[:200],
+        "copy": request["copy_name"],
         **{name: made[name] for name in ("record_id", "message", "original_format")},
-        "profile": asked["profile"],
+        "profile": request["profile"],
         "report": json.dumps(made["report"]),
         "gaussians": made["report"]["gaussians_out"],
-        "original_sha256": asked["model"],
+        "original_sha256": request["model"],
         "model_format": made["format"],
         **{f"{name}_sha256": kept[name] for name in ("model", "record", "preview", "sketch")},
         "registered_at": registered_at,

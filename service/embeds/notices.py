@@ -30,8 +30,8 @@ def list_notices(
     after: After = "",
     asset: Annotated[str, Query(max_length=64, pattern=NO_ZERO, description="About the asset of this id.")] = "",
 ) -> NoticeList:
-    """Uploads of other accounts that carry a mark of yours, newest first. The uploader is not told, and not named: the
-    operator of the service can start a dispute between the two assets."""
+    """Uploads of other accounts that carry a mark of yours, newest first. The uploader is neither notified nor named;
+    the operator of the service can start a dispute between the two assets."""
     where = notices.c.asset == asset if asset else sa.true()
     with core.db.read() as connection:
         rows, following = page(connection, notices, caller.tenant, limit, after, where=where)

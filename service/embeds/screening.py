@@ -30,8 +30,8 @@ def resembling(service: Service, run: Run, model: Mapping[str, Any], whose: sa.C
 def carried(service: Service, run: Run, chosen: Sequence[Any]) -> list[Mapping[str, Any]]:
     """Those whose mark the upload shows; its model lies in the step's folder."""
     known = service.candidates(chosen, run)
-    asked = {"model": str(run.folder / PLAIN), "candidates": known}
-    return list(run.work("marks", asked)["carries"]) if known else []
+    request = {"model": str(run.folder / PLAIN), "candidates": known}
+    return list(run.work("marks", request)["carries"]) if known else []
 
 
 def choose(alike: Sequence[Any]) -> list[Any]:

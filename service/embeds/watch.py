@@ -19,40 +19,40 @@ from service.embeds.screening import carried, choose, resembling
 from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
 
-NOBODY = ""
+NO_TENANT = ""
 """Tenant of these jobs: no API key sees them."""
 
 
 def watch(service: Service, job: Job, asset_id: str) -> None:
-    """Have what an embed job marked looked at; twice is once."""
-    asked = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
-    asked["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
+    """Queue a look at what an embed job marked; twice is once."""
+    request = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
+    request["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
     hours = SystemRandom().uniform(0.0, service.settings.watch_minutes / 60.0)
-    service.jobs.submit(Job(f"watch_{asset_id}", NOBODY, "", "watch", State.QUEUED, asked, created_at=ago(-hours)))
+    service.jobs.submit(Job(f"watch_{asset_id}", NO_TENANT, "", "watch", State.QUEUED, request, created_at=ago(-hours)))
 
 
 def watch_flow(service: Service) -> Flow:
     """Steps of such a job."""
-    return (Step("watch", lambda run: _look(service, run)), Step("commit", lambda run: _tell(service, run)))
+    return (Step("watch", lambda run: _look(service, run)), Step("commit", lambda run: _notify(service, run)))
 
 
 def _look(service: Service, run: Run) -> Reply:
     """No owner key enters a process that reads the upload."""
-    asked = run.job.request
-    model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
-    alike = resembling(service, run, model, assets.c.tenant != asked["tenant"])
+    request = run.job.request
+    model = {"model": service.local(request["model"], run), "spz_frame": request["spz_frame"]}
+    alike = resembling(service, run, model, assets.c.tenant != request["tenant"])
     chosen = choose(alike)
     return {"carries": carried(service, run, chosen), "not_screened": len(alike) - len(chosen)}
 
 
-def _tell(service: Service, run: Run) -> Ending:
-    """One notice for each original that was recognised, about the copy that says most; and its owner's webhooks."""
+def _notify(service: Service, run: Run) -> Ending:
+    """One notice for each recognised original, about its copy with the strongest evidence; and its owner's webhooks."""
     found = {each["asset"]: each for each in run.results["watch"]["carries"]}
     with service.db.write() as connection:
         rows = connection.execute(sa.select(assets).where(assets.c.id.in_(found))).all()
         rows = sorted(rows, key=lambda row: (row.tenant, row.original_sha256, -_worth(found[row.id])))
-        told = [next(copies) for _, copies in groupby(rows, key=lambda row: (row.tenant, row.original_sha256))]
-        for number, row in enumerate(told):
+        notified = [next(copies) for _, copies in groupby(rows, key=lambda row: (row.tenant, row.original_sha256))]
+        for number, row in enumerate(notified):
             notice = f"no_{run.job.request['asset'].removeprefix('as_')}_{number}"
             if connection.execute(sa.select(notices.c.id).where(notices.c.id == notice)).first() is None:
                 values = {"id": notice, "tenant": row.tenant, "asset": row.id, "created_at": now()}
@@ -61,9 +61,9 @@ def _tell(service: Service, run: Run) -> Ending:
                 due = sa.select(webhooks.c.id, sa.literal(notice), sa.literal(now()), sa.literal(0))
                 due = due.where(webhooks.c.tenant == row.tenant, webhooks.c.events.contains(FOUND))
                 connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], due))
-    return {"state": State.SUCCEEDED, "result": {"notices": len(told)}}
+    return {"state": State.SUCCEEDED, "result": {"notices": len(notified)}}
 
 
 def _worth(found: Any) -> float:
-    """A copy that is named by itself says most."""
+    """A copy that is named by itself counts most."""
     return float(found.get("copy_z") or 0.0)

@@ -81,7 +81,7 @@ def metrics(core: Core, caller: Operator) -> Response:
         for table in (assets, claims):
             rows = connection.execute(count.select_from(table)).scalar_one()
             Gauge(f"mark3dgs_{table.name}", f"Rows in {table.name}", registry=registry).set(rows)
-    Gauge("mark3dgs_workers", "Workers heard of lately", registry=registry).set(_workers(core))
+    Gauge("mark3dgs_workers", "Workers seen lately", registry=registry).set(_workers(core))
     Gauge("mark3dgs_disk_free_bytes", "Free bytes for scratch files", registry=registry).set(core.blobs.free_bytes())
     return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
 

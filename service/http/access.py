@@ -1,4 +1,4 @@
-"""What handlers are handed: the service, who is asking (and whether they may), and the page of a list."""
+"""What handlers get: the service, the caller (and whether it may), and the page of a list."""
 
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -32,7 +32,7 @@ async def check_address(request: Request) -> None:
 
 
 def identify(service: Service, token: str | None) -> Caller:
-    """Whose API key came with a request; unauthorized without a valid one."""
+    """The caller of a request, by its API key; unauthorized without a valid one."""
     if token is None:
         raise Problem("unauthorized", "send the header 'Authorization: Bearer mk_...'")
     return check(service.db, service.master, token)
@@ -59,7 +59,7 @@ Embedder = Annotated[Caller, Depends(may("embed"))]
 Verifier = Annotated[Caller, Depends(may("verify"))]
 Uploader = Annotated[Caller, Depends(may("embed", "verify"))]
 Follower = Annotated[Caller, Depends(may("read", "embed", "verify", OPERATOR))]
-"""Sees what came of jobs: without `read`, of those that this very key asked for (`visible`)."""
+"""Sees results of jobs: without `read`, of those that this very key requested (`visible`)."""
 OriginalsReader = Annotated[Caller, Depends(may("originals"))]
 Admin = Annotated[Caller, Depends(may("admin"))]
 Operator = Annotated[Caller, Depends(may(OPERATOR))]
@@ -68,7 +68,7 @@ Party = Annotated[Caller, Depends(may("read", OPERATOR))]
 
 
 def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
-    """The row of a job, or of what came of one, if a `Follower` may see it; not-found otherwise."""
+    """The row of a job, or of its result, if a `Follower` may see it; not-found otherwise."""
     row = own(core.db, table, caller.tenant, row_id)
     if not caller.may("read"):
         job = core.jobs.get(caller.tenant, row.id if table is jobs else row.job)
@@ -77,7 +77,7 @@ def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
     return row
 
 
-Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
+Limit = Annotated[int, Query(ge=1, le=100, description="Entries per page.")]
 NO_ZERO = r"^[^\x00]*$"
 """`check_address`, as the API's description says it of a parameter."""
 Words = Annotated[str, Query(max_length=200, pattern=NO_ZERO)]

@@ -38,7 +38,7 @@ def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None
 
 
 def forget(db: Database) -> None:
-    """Drop the counts of days long past."""
+    """Drop counts that are out of date."""
     db.change(sa.delete(usage).where(usage.c.window < _name(_now() - timedelta(days=2))))
 
 

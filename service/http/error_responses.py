@@ -50,7 +50,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(ClientDisconnect)
     def on_leaving(request: Request, error: ClientDisconnect) -> Response:
-        return answer(Problem("malformed-request", "the body broke off"), request)  # to a client that is gone
+        return answer(Problem("malformed-request", "the body is incomplete"), request)  # to a client that is gone
 
     @app.exception_handler(OSError)
     @app.exception_handler(Exception)
@@ -89,7 +89,7 @@ def responses(*kinds: str) -> Responses:
     """OpenAPI of the problems that a route may answer with; those that any route can are added."""
     found: dict[int, list[str]] = {}
     slow = ("too-slow",) if "malformed-request" in kinds else ()  # it has a body
-    for kind in (*kinds, *slow, "invalid-request", "internal", "unavailable", "storage-full"):
+    for kind in dict.fromkeys((*kinds, *slow, "invalid-request", "internal", "unavailable", "storage-full")):
         found.setdefault(KINDS[kind][0], []).append(KINDS[kind][1])
     schema = {"$ref": "#/components/schemas/Problem"}
     return {

@@ -31,8 +31,8 @@ class Wanted:
 def _wanted(
     request: Request,
     range: Annotated[str | None, Header(description="bytes=first-last")] = None,
-    if_range: Annotated[str | None, Header(description="ETag of the file that the part shall be of.")] = None,
-    if_none_match: Annotated[str | None, Header(description="ETag of the file at hand.")] = None,
+    if_range: Annotated[str | None, Header(description="ETag of the file that the range is of.")] = None,
+    if_none_match: Annotated[str | None, Header(description="ETag of the file that you have.")] = None,
 ) -> Wanted:
     return Wanted(range, if_range, tags(if_none_match), request.scope["head"])
 
@@ -96,6 +96,6 @@ def file_responses(media_type: str, *also: str) -> Responses:
     return {
         200: {"description": "The file", "content": content},
         206: {"description": "The range requested by Range", "content": content},
-        304: {"description": "As it was (If-None-Match)"},
+        304: {"description": "Not modified (If-None-Match)"},
         **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", *also),
     }

@@ -20,7 +20,7 @@ def check_text(text: str) -> str:
     return text
 
 
-class Asked(BaseModel):
+class RequestBody(BaseModel):
     """Body of a request: no fields but its own, and texts that every database holds."""
 
     model_config = ConfigDict(extra="forbid")
@@ -35,7 +35,7 @@ class Asked(BaseModel):
         return values
 
 
-T = TypeVar("T", bound=Asked)
+T = TypeVar("T", bound=RequestBody)
 Files = dict[str, list[UploadFile]]
 MAX_FILES, MAX_FIELDS = 66, 32
 
@@ -110,9 +110,8 @@ def form_schema(
     """OpenAPI `requestBody` for `read_form`; `files`: field -> (description, several files?).
 
     A form needs no properties `without`, since the files stand for them, and must have the fields `required`. Which of
-    them go together is said for JSON only: `ways` has, for each way to ask, its title and those of `without` that it
-    takes, the first of which it needs. Each way is a whole schema, for generators of clients lose what stands beside a
-    combination of schemas.
+    them go together is said for JSON only: `ways` has, for each form of the request, its title and those of `without`
+    that it takes, the first of which it needs. Each is a whole schema: client generators lose siblings of a `oneOf`.
     """
     schema = kind.model_json_schema()
     binary = {"type": "string", "format": "binary"}
@@ -134,7 +133,7 @@ def form_schema(
 
 
 def _way(schema: dict[str, Any], title: str, without: Sequence[str], taken: Sequence[str]) -> dict[str, Any]:
-    """The schema of one way to ask."""
+    """The schema of one form of the request."""
     left = {name: value for name, value in schema["properties"].items() if name in taken or name not in without}
     needed = {name: value for name, value in left[taken[0]].items() if name not in ("anyOf", "default")}
     # What must be there is not null, and of a list it is one entry at least.

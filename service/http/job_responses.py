@@ -25,24 +25,24 @@ _WITHIN = BeforeValidator(lambda fraction: min(max(fraction, 0.0), 1.0))
 
 
 class JobView(BaseModel):
-    """A job as it stands."""
+    """A job and its state."""
 
     id: str
     kind: Literal["embed", "verify", "dispute"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
     name: str = Field(description="Subject: the label, or the names of the files; empty if none was given.")
-    stage: str = Field(description="What it is doing.")
-    fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
+    stage: str = Field(description="The stage at work.")
+    fraction: Annotated[float, Field(ge=0, le=1, description="Progress of that stage."), _WITHIN]
     fraction_total: float | None = Field(
         ge=0, le=1, description="Progress of the whole job, by the usual time of its stages; null if unknown."
     )
     cancelling: bool
     position: int | None = Field(
         ge=1,
-        description="Place in the queue, 1 is next as things stand; null unless queued. Tenants take turns: later"
+        description="Place in the queue, 1 is next at present; null unless queued. Tenants take turns: later"
         " jobs of tenants with fewer jobs may still go first.",
     )
-    result: Result = Field(description="asset_id or claim_id and what to know at once; null until it succeeded.")
+    result: Result = Field(description="asset_id or claim_id, and the main results; null until it succeeded.")
     problem: Failure | None = Field(description="Why it failed (RFC 9457).")
     created_at: Time
     started_at: TimeOrNot
@@ -88,19 +88,19 @@ def submit(
     body: Mapping[str, Any],
     make: Callable[[], Mapping[str, Any]],
 ) -> Job:
-    """Take a job on, once for each Idempotency-Key (`key`).
+    """Accept a job, once for each Idempotency-Key (`key`).
 
-    What that stands for is `body`: the request with digests in place of files. `make` checks the request, spends
-    budgets, and returns what the job is asked.
+    It stands for `body`: the request with digests in place of files. `make` checks the request, spends budgets, and
+    returns the job's own request.
     """
 
     def take_on() -> Job:
         most = service.settings.queued_jobs
-        if service.jobs.waiting(caller.tenant) >= most:  # before budgets are spent; what counts is asked by `submit`
+        if service.jobs.waiting(caller.tenant) >= most:  # before budgets are spent; `submit` checks it again
             raise too_many(most)
-        asked = make()
+        request = make()
         job_id = f"job_{secrets.token_hex(12)}"
-        return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, asked), most)
+        return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, request), most)
 
     if key is None:
         return take_on()
@@ -122,7 +122,7 @@ def submit(
 async def respond(service: Service, job: Job, prefer: str | None) -> Response:
     """202 and where to look; 200 once the job has ended within the time that the client prefers to wait.
 
-    What the job failed with is raised, where that is the client's to mend.
+    The job's error is raised, where the client can correct it.
     """
     seconds = wait_seconds(prefer)
     if seconds:
@@ -177,7 +177,7 @@ def course(job: Job) -> float | None:
         return None
     chosen = job.request.get("profile") == "auto"
     shares = (_AUTO if chosen else _EMBED) if job.kind == "embed" else _PICTURE if pictures else _MODEL
-    if job.stage not in shares:  # kernels are compiled, or one of several records is asked
+    if job.stage not in shares:  # kernels are compiled, or one of several records is tested
         return None
     before = sum(list(shares.values())[: list(shares).index(job.stage)])
     return (before + shares[job.stage] * min(max(job.fraction, 0.0), 1.0)) / sum(shares.values())

@@ -132,7 +132,7 @@ def _identify(service: Service, headers: Headers) -> None:
 
 
 async def _linger(receive: Receive) -> None:
-    """Throw away what still comes. Closed at once, the connection would be reset before its client saw the answer."""
+    """Discard what still comes. Closed at once, the connection would be reset before its client saw the answer."""
     with suppress(TimeoutError):
         async with asyncio.timeout(LINGER_SECONDS):
             while (await receive()).get("more_body", False):

@@ -1,4 +1,4 @@
-"""What jobs come to, in the API's description. What an earlier version's job came to passes as it is."""
+"""Results of jobs, in the API's description. The result of an earlier version's job is passed on unchanged."""
 
 import json
 import math
@@ -60,7 +60,7 @@ _VERIFIED: JsonValue = {
 
 @with_config(ConfigDict(extra="forbid", json_schema_extra={"examples": [_EMBEDDED]}))
 class EmbedResult(TypedDict):
-    """Of a model that was marked."""
+    """Result of an embedding."""
 
     asset_id: str
     record_id: str
@@ -71,7 +71,7 @@ class EmbedResult(TypedDict):
     seconds: float
     already_carries: Annotated[list[str], Field(description="Assets of yours whose mark the model carried before.")]
     not_screened: Annotated[int, Field(description="Similar copies of yours, too many to check all: not checked.")]
-    review: Annotated[str, Field(description="What becomes of it; the same for every upload.")]
+    review: Annotated[str, Field(description="What follows the registration; the same text for every upload.")]
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -93,7 +93,7 @@ class Bits(TypedDict):
 
 @with_config(ConfigDict(extra="forbid", json_schema_extra={"examples": [_READING]}))
 class Reading(TypedDict):
-    """What was read of one registered mark in the suspect; `mark3dgs verify --json` has the same members.
+    """The reading of one registered mark in the suspect; `mark3dgs verify --json` has the same members.
 
     Detection is informed: the owner's record and key say where the bits are, and which were embedded. The verdict rests
     on how clearly all bits were read together, not on how many match.
@@ -106,7 +106,7 @@ class Reading(TypedDict):
     registered_bits: Annotated[Bits | None, Field(description="As the record has them.")]
     matching: Annotated[int | None, Field(description="Bits that were read as registered.")]
     bit_accuracy: Annotated[float | None, Field(description="matching / length; pure chance gives about 0.5.")]
-    reliability: Annotated[list[float] | None, Field(description="Per bit: probability of a right reading; 0.5: coin.")]
+    reliability: Annotated[list[float] | None, Field(description="Per bit: probability that it is correct.")]
     z: Annotated[float | None, Field(description="Detection statistic; 0 +- 1 without a mark.")]
     hypotheses: Annotated[int, Field(description="Hypotheses tested; every bound is corrected for them.")]
     log10_false_claim: Annotated[
@@ -124,7 +124,7 @@ class Reading(TypedDict):
 
 @with_config(ConfigDict(extra="forbid"))
 class AssetReading(Reading):
-    """Of one more asset."""
+    """The reading of another asset."""
 
     asset_id: str
     copy_name: str
@@ -132,10 +132,10 @@ class AssetReading(Reading):
 
 @with_config(ConfigDict(extra="forbid", json_schema_extra={"examples": [_VERIFIED]}))
 class VerifyResult(Reading):
-    """Of a suspect that was checked: what was read of the asset that says most, and of others; the claim says all."""
+    """Result of a verification: the readings of the asset with the strongest evidence, and of others."""
 
     claim_id: str
-    asset_id: Annotated[str | None, Field(description="null where none of all was recognised.")]
+    asset_id: Annotated[str | None, Field(description="null where no asset was recognised.")]
     checks: list[CheckResult]
     others: Annotated[list[AssetReading], Field(description="Other assets that were recognised, at most 20.")]
     links: Annotated[dict[str, str], Field(description="claim, jws, report; asset; pack, where there is one.")]
@@ -144,7 +144,7 @@ class VerifyResult(Reading):
 
 @with_config(ConfigDict(extra="forbid"))
 class DisputeResult(TypedDict):
-    """Of a dispute that was settled."""
+    """Result of a settled dispute."""
 
     dispute_id: str
     first: Annotated[str, Field(description="Who came first: a, b, or why that cannot be decided.")]
@@ -152,7 +152,7 @@ class DisputeResult(TypedDict):
     jws: str
 
 
-Earlier = Annotated[dict[str, Any], Field(title="Earlier result", description="Of an earlier version's job.")]
+Earlier = Annotated[dict[str, Any], Field(title="Earlier result", description="Result of an earlier version's job.")]
 Result = Annotated[EmbedResult | VerifyResult | DisputeResult | Earlier | None, Field(union_mode="left_to_right")]
 
 
@@ -168,7 +168,7 @@ class Failure(TypedDict):
 
 @with_config(ConfigDict(extra="allow"))
 class FileInfo(TypedDict):
-    """What an uploaded file is, as far as was looked."""
+    """What an uploaded file is, as far as it was inspected."""
 
     kind: Literal["model", "picture", "cameras"]
     format: NotRequired[str]
@@ -184,7 +184,7 @@ class Notice(BaseModel):
     """A mark of yours in what another account uploaded to be marked."""
 
     id: str
-    asset_id: str = Field(description="Your asset whose mark was found; of several copies, the one that says most.")
+    asset_id: str = Field(description="Your asset whose mark was found; of several copies, the clearest one.")
     copy_named: bool | None = Field(description="Whether the upload is that copy; null where copies do not differ.")
     z: float = Field(description="Detection statistic; 0 +- 1 without a mark.")
     log10_false_claim: float = Field(description="log10 of the false-claim bound, corrected for all hypotheses.")
@@ -196,7 +196,7 @@ class Notice(BaseModel):
 def notice_of(row: Any) -> Notice:
     """What a row of `notices` says."""
     found = json.loads(row.finding)
-    told = {name: found[name] for name in ("z", "log10_false_claim", "copy_named")}
+    finding = {name: found[name] for name in ("z", "log10_false_claim", "copy_named")}
     strength = -found["log10_false_claim"] / math.log10(2.0)
     about = {"asset_id": row.asset, "uploaded_as": row.upload, "created_at": row.created_at}
-    return Notice(id=row.id, strength=strength, **told, **about)
+    return Notice(id=row.id, strength=strength, **finding, **about)

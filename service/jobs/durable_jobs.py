@@ -67,7 +67,7 @@ class DurableJobs:
         self._opened: DBOSClient | None = None
 
     def submit(self, job: Job, most: int | None = None) -> Job:
-        """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job.
+        """Accept a job; when this returns, it will be done whatever dies. The same id twice is one job.
 
         `too_many` where as many as `most` jobs of its tenant are not final.
         """
@@ -98,13 +98,13 @@ class DurableJobs:
         with self._db.read() as connection:
             return [job_of(row) for row in page(connection, jobs, tenant, limit, after, where=where)[0]]
 
-    def positions(self, asked: Sequence[Job]) -> dict[str, int]:
-        """Places in the queue of those jobs that wait, by id: 1 is begun next, as things stand.
+    def positions(self, listed: Sequence[Job]) -> dict[str, int]:
+        """Places in the queue of those jobs that wait, by id: 1 is begun next, at present.
 
         Of all tenants' jobs, as they take turns: the first job of each tenant before the second of any, a tenant with
-        jobs at work so many turns later, equals in their order of coming. Who comes later and has fewer goes first.
+        jobs at work so many turns later, equals in their order of coming. Later jobs of a tenant with fewer go first.
         """
-        waiting = [job.id for job in asked if job.state is State.QUEUED]
+        waiting = [job.id for job in listed if job.state is State.QUEUED]
         if not waiting:
             return {}
         # Those at work come first in this numbering of a tenant's jobs: its first job that waits has so many before it.
@@ -119,7 +119,7 @@ class DurableJobs:
             return {row.id: row.place for row in found}
 
     def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
-        """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
+        """Report a job's progress. False: cancellation was requested (or the job is gone, or another's); stop."""
         held = jobs.c.attempts == attempt if attempt is not None else sa.true()
         going_on = (jobs.c.id == job_id) & held & _RUNNING & sa.not_(jobs.c.cancelling)
         row = self._db.query(sa.select(jobs.c.stage, jobs.c.fraction).where(going_on)).first()
@@ -149,7 +149,7 @@ class DurableJobs:
         self._db.change(sa.update(jobs).where(held).values(tries=1))
 
     def handed_back(self, worker: str) -> None:
-        """A worker shuts down: that is no fault of the jobs it was at."""
+        """A worker shuts down: this counts as no failed attempt of its jobs."""
         its = (jobs.c.worker == worker) & _RUNNING & (jobs.c.tries > 0)
         self._db.change(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
@@ -196,7 +196,7 @@ class DurableJobs:
         return job
 
     def recover(self, silent_seconds: float, but: str = "") -> Sequence[str]:
-        """Take over the jobs of workers not heard of for that long; ids of those workers.
+        """Take over the jobs of workers that were silent for that long; ids of those workers.
 
         Silence is measured from the first call that saw it, so a single call finds only workers that left. A worker
         does not judge itself: that is `but`.
@@ -217,14 +217,14 @@ class DurableJobs:
         return {workflow.workflow_id: workflow.executor_id or "" for workflow in pending}
 
     def requeue(self, job_ids: Collection[str]) -> None:
-        """Put jobs back in the queue. They go on at their last finished step; DBOS lets one who lost a job record no
+        """Put jobs back in the queue. They continue at their last finished step; DBOS lets one who lost a job record no
         further step of it."""
         if job_ids:
             _log.warning("taken over: jobs %s", ", ".join(job_ids))
             self.client().resume_workflows(list(job_ids), queue_name=QUEUE)
 
     def reconcile(self) -> None:
-        """Mend what a death between two databases left: jobs never enqueued, and jobs that ended without saying so."""
+        """Repair after a crash between two databases: jobs never enqueued, and jobs that ended without saying so."""
         waiting = self._due_before(ago(_SETTLED_HOURS))
         for start in range(0, len(waiting), _PAGE):
             ids = waiting[start : start + _PAGE]
@@ -255,7 +255,7 @@ class DurableJobs:
                 self._opened = None
 
     def client(self) -> DBOSClient:
-        """DBOS as one who runs no job sees it. Opened on first use: the library takes most of a second to import."""
+        """DBOS for a process that runs no job. Opened on first use: the library takes most of a second to import."""
         with self._lock:
             if self._opened is None:
                 _hush()
@@ -276,8 +276,8 @@ class DurableJobs:
             return self._opened
 
     def _next_of(self, tenant: str) -> tuple[str, int, float] | None:
-        """Id of the tenant's queued job that was asked for first, how many of its jobs are at work, and in how many
-        seconds it is due."""
+        """Id of the tenant's oldest queued job, how many of its jobs are at work, and in how many seconds it is
+        due."""
         at_work = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _RUNNING)
         queued = sa.select(jobs.c.id, jobs.c.created_at, at_work.scalar_subquery().label("at_work"))
         with self._db.read() as connection:
@@ -286,7 +286,7 @@ class DurableJobs:
         return None if found is None else (found.id, found.at_work, seconds_until(found.created_at))
 
     def _due_before(self, time: str) -> Sequence[str]:
-        """Ids of jobs that were asked for before that time and are at work, or the next of their tenant."""
+        """Ids of jobs that were submitted before that time and are at work, or the next of their tenant."""
         turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
         known = sa.select(jobs.c.id, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
         due = (known.c.created_at < time) & ((known.c.state == State.RUNNING.value) | (known.c.turn == 1))
@@ -314,7 +314,7 @@ class DurableJobs:
 
 
 def too_many(most: int) -> Problem:
-    """What is said where a tenant has that many jobs."""
+    """The error where a tenant has that many jobs."""
     text = f"{most} jobs of this tenant are waiting or running: send more when some have ended"
     return Problem("budget-exceeded", text, headers={"Retry-After": "30"})
 
@@ -355,10 +355,10 @@ def _with_limits(url: str) -> str:
 
 def _announce(connection: sa.Connection, job_id: str) -> None:
     """What the end of a job, in its own transaction, adds to the messages of its tenant's webhooks."""
-    told = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
-    told = told.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
-    told = told.where(webhooks.c.events.contains(ENDED))
-    connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], told))
+    pending = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
+    pending = pending.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
+    pending = pending.where(webhooks.c.events.contains(ENDED))
+    connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], pending))
 
 
 def _waiting(tenant: str) -> sa.Select[int]:

@@ -10,7 +10,7 @@ from service.processes import Reply
 
 
 class State(StrEnum):
-    """Where a job stands. The last four are final."""
+    """State of a job. The last four are final."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -25,20 +25,20 @@ FINAL = frozenset({State.SUCCEEDED, State.DISPUTED, State.FAILED, State.CANCELLE
 
 @dataclass(frozen=True)
 class Job:
-    """One job as it stands."""
+    """One job and its state."""
 
     id: str
     tenant: str
-    api_key: str  # public id of the key that asked for it
+    api_key: str  # public id of the key that requested it
     kind: str  # embed, verify or dispute: key of the flows
     state: State
-    request: Mapping[str, Any]  # what was asked, JSON values; never a secret
+    request: Mapping[str, Any]  # JSON values; never a secret
     stage: str = ""  # what it is doing
     fraction: float = 0.0  # how far that is, 0 to 1
     result: Mapping[str, Any] | None = None  # once succeeded or disputed
     problem: Mapping[str, Any] | None = None  # once failed, as in RFC 9457
     revision: int = 0  # grows with every change; the ETag
-    cancelling: bool = False  # cancellation was asked for
+    cancelling: bool = False  # cancellation was requested
     attempts: int = 0  # begun so often; a worker that holds an older number has lost the job
     tries: int = 0  # of these, at the present step; those that a shut-down ended do not count
     created_at: str = ""  # UTC, ISO 8601; empty while not yet, like the next two. Nothing begins before
@@ -48,11 +48,11 @@ class Job:
 
 @dataclass
 class Run:
-    """What a step of a flow is handed.
+    """What a step of a flow gets.
 
     `work(task, request, answer) -> reply` runs a task of `service.work` in a process of its own, with limits: progress
-    goes to the job, `answer` (None: nothing is asked) answers it, a cancelled job raises `Cancelled`, an error of the
-    engine the `Problem` it means. Files that it makes lie in `folder`.
+    goes to the job, `answer` answers its questions (None: it has none), a cancelled job raises `Cancelled`, an error of
+    the engine the `Problem` it means. Files that it makes lie in `folder`.
     """
 
     job: Job

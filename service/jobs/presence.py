@@ -1,4 +1,4 @@
-"""Which workers live: each writes a row every few seconds, and each watches the others' rows.
+"""Which workers are alive: each writes a row every few seconds, and each watches the others' rows.
 
 DBOS recovers the jobs of an executor when a process starts under that executor's name. That another one died is noticed
 by its hosted console alone.
@@ -31,14 +31,14 @@ class Presence:
         self._since: dict[str, tuple[float | None, float]] = {}  # last sign of life, and when it was first seen here
 
     def beat(self, worker: str) -> None:
-        """This worker lives."""
+        """Report that this worker is alive."""
         row = {"host": socket.gethostname(), "pid": os.getpid(), "seen_at": time.time()}
         with self._db.write() as connection:
             if not connection.execute(sa.update(workers).where(workers.c.id == worker).values(row)).rowcount:
                 connection.execute(workers.insert().values(row | {"id": worker, "started_at": now()}))
 
     def leave(self, worker: str) -> None:
-        """This worker shuts down."""
+        """Report that this worker shuts down."""
         self._db.change(sa.update(workers).where(workers.c.id == worker).values(seen_at=LEFT))
 
     def silent(self, owners: Collection[str], seconds: float) -> list[str]:
@@ -53,7 +53,7 @@ class Presence:
         return [worker for worker, (sign, since) in self._since.items() if sign == LEFT or moment - since >= seconds]
 
     def start_over(self) -> None:
-        """Nothing could be seen for a while."""
+        """Forget the silence seen so far: the database did not answer for a while."""
         self._since.clear()
 
     def strike_off(self, worker: str) -> bool:

@@ -1,4 +1,4 @@
-"""A worker: a process that runs jobs one at a time, says that it lives, and takes over from those that do not."""
+"""A worker: a process that runs jobs one at a time, reports that it is alive, and takes over from dead ones."""
 
 import logging
 import os
@@ -50,7 +50,7 @@ T = TypeVar("T")
 
 
 class Outcome(TypedDict, total=False):
-    """What is kept of a step: one of the three."""
+    """The kept outcome of a step: one of the three."""
 
     kept: Mapping[str, Any]  # its result
     problem: Mapping[str, Any]  # as in RFC 9457
@@ -94,7 +94,7 @@ class Runner:
         from dbos import DBOS
 
         if job.tries > MAX_TRIES:
-            _log.error("job %s is given up: it was begun %s times in vain", job.id, MAX_TRIES)
+            _log.error("job %s failed: it was begun %s times without a result", job.id, MAX_TRIES)
             return State.FAILED, Problem("engine-limit", f"the work was ended {MAX_TRIES} times").to_json()
         results: dict[str, Mapping[str, Any]] = {}
         for step in self._flows[job.kind]:
@@ -108,7 +108,7 @@ class Runner:
         return State(last["state"]), last["result"]
 
     def _step(self, job: Job, step: Step, results: Mapping[str, Mapping[str, Any]]) -> Outcome:
-        """What is kept of a step. How it failed is kept as a value too: it would fail again."""
+        """The kept outcome of a step. A failure is kept as a value, too: it would happen again."""
         try:
             kept = self._patiently(lambda: self._do(job, step, results))
             self._patiently(lambda: self._jobs.settled(job))
@@ -130,7 +130,7 @@ class Runner:
             except Problem as problem:
                 if problem.kind not in _OUT_OF_REACH:
                     raise
-                return True  # its progress is not shown and it cannot be stopped, but the work goes on
+                return True  # its progress is not shown and it cannot be stopped, but the work continues
 
         def work(task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:
             for _ in range(MAX_KILLED - 1):
@@ -261,7 +261,7 @@ class Worker:
                 well = True
             except Exception as error:
                 if well:
-                    _log.warning("worker %s cannot say that it lives: %s", self.name, error)
+                    _log.warning("worker %s cannot report that it is alive: %s", self.name, error)
                 well = False
 
     def _watch(self) -> None:
@@ -299,7 +299,7 @@ class Worker:
             self._jobs.handed_back(self.name)
             self._jobs.presence.leave(self.name)
         except Exception as error:
-            _log.warning("worker %s ends without a word: %s", self.name, error)
+            _log.warning("worker %s ends without signing off: %s", self.name, error)
 
 
 def _scratch(settings: Settings, worker: str) -> Path:

@@ -13,7 +13,7 @@ from service.db import page, schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Reader
 from service.http.error_responses import OF_LIST, responses
-from service.http.forms import Asked
+from service.http.forms import RequestBody
 from service.http.results import Time
 from service.problems import Problem
 from service.trust import owner_keys
@@ -26,11 +26,11 @@ _ONE_BYTE: JsonValue = {"type": "string", "pattern": r"^(..)\1+$"}
 _EXAMPLE: JsonValue = {"label": "Studio", "reveal": True}
 
 
-class NewKey(Asked):
+class NewKey(RequestBody):
     """An owner key to make, or to import."""
 
     model_config = ConfigDict(strict=True, json_schema_extra={"examples": [_EXAMPLE]})
-    label: str = Field("", max_length=200, description="For people.")
+    label: str = Field("", max_length=200, description="For display.")
     key: str | None = Field(
         None,
         pattern="^([0-9a-fA-F]{2}){32,1024}$",

@@ -1,4 +1,4 @@
-"""GET /v1/me: whose key this is, what it may do, and what the tenant has left of its limits."""
+"""GET /v1/me: the API key of a request, its scopes, and the use of its tenant's limits."""
 
 import sqlalchemy as sa
 from fastapi import APIRouter
@@ -32,8 +32,8 @@ class Used(BaseModel):
 class Limits(BaseModel):
     """Limits of the tenant; hourly limits are counted per key and reported when they are reached (429)."""
 
-    queued_jobs: Used = Field(description="Jobs that wait or run.")
-    open_uploads: Used = Field(description="Uploads under way.")
+    queued_jobs: Used = Field(description="Jobs that are waiting or running.")
+    open_uploads: Used = Field(description="Unfinished uploads.")
     stored_bytes: Used = Field(description="Uploads and assets, together.")
 
 
@@ -48,7 +48,7 @@ class Me(BaseModel):
 
 @router.get("", operation_id="me", responses=responses("unauthorized", "forbidden"))
 def me(core: Core, caller: Anyone) -> Me:
-    """Whose API key this is. Every key may ask, whatever its scopes."""
+    """The API key of this request, its tenant, and the tenant's limits. Any key may call this, whatever its scopes."""
     settings, tenant = core.settings, caller.tenant
     with core.db.read() as connection:
         name = display_name(connection, tenant)

@@ -34,7 +34,7 @@ class JobList(BaseModel):
 def list_jobs(
     core: Core,
     caller: Reader,
-    state: Annotated[list[State], Query(default_factory=list, description="In this state; give it once for each.")],
+    state: Annotated[list[State], Query(default_factory=list, description="In this state; repeatable.")],
     limit: Limit = 20,
     after: After = "",
     kind: Annotated[Literal["embed", "verify", "dispute"] | None, Query(description="Of this kind.")] = None,
@@ -49,13 +49,13 @@ def list_jobs(
     "/{job_id}",
     operation_id="getJob",
     response_model=JobView,
-    responses={304: {"description": "As it was (If-None-Match)"}, **OF_OWN},
+    responses={304: {"description": "Not modified (If-None-Match)"}, **OF_OWN},
 )
 def get_job(
     job_id: str,
     core: Core,
     caller: Follower,
-    if_none_match: Annotated[str | None, Header(description="ETag of the answer at hand.")] = None,
+    if_none_match: Annotated[str | None, Header(description="ETag of the response that you have.")] = None,
 ) -> Response:
     """Where a job stands."""
     (job,) = views(core, [found := _found(job_id, core, caller)])
@@ -75,11 +75,11 @@ async def job_events(
     job_id: str, core: Core, caller: Follower, _: Annotated[Job, Depends(_found)]
 ) -> AsyncIterable[ServerSentEvent]:
     """Server-sent events: the job at every change, of its place in the queue, too, until it has ended."""
-    told, waited = None, 0.0
+    sent, waited = None, 0.0
     while (job := await asyncio.to_thread(core.jobs.get, caller.tenant, job_id)) is not None:
         (seen,) = await asyncio.to_thread(views, core, [job])
-        if seen != told:
-            told, waited = seen, 0.0
+        if seen != sent:
+            sent, waited = seen, 0.0
             yield ServerSentEvent(data=seen.model_dump(), event="progress", id=str(job.revision))
         if job.state in FINAL:
             return

@@ -30,13 +30,13 @@ def check_tenant(tenant: str) -> None:
 
 
 def display_name(connection: sa.Connection, tenant: str) -> str:
-    """What people call a tenant; its id where none was set."""
+    """Display name of a tenant; its id where none was set."""
     found = connection.execute(sa.select(tenants.c.name).where(tenants.c.id == tenant)).scalar_one_or_none()
     return str(found or tenant)
 
 
 def name_tenant(db: Database, tenant: str, name: str) -> None:
-    """Claims from now on call a tenant so; "not-found" where it has no API key. The log says who was called what."""
+    """Set a tenant's display name, for later claims; "not-found" where it has no API key. The log keeps each name."""
     check_tenant(name)
     with db.exclusive() as connection:
         if connection.execute(sa.select(api_keys.c.id).where(api_keys.c.tenant == tenant).limit(1)).first() is None:
@@ -70,7 +70,7 @@ class Caller:
 
 @dataclass(frozen=True)
 class ApiKey:
-    """What is known of a key; never the secret. `revoked_at` is empty while it works."""
+    """A key's description; never the secret. `revoked_at` is empty while it works."""
 
     id: str
     label: str
@@ -94,7 +94,7 @@ def issue_first(db: Database, master: MasterKey, tenant: str, label: str = "") -
 
 
 def check(db: Database, master: MasterKey, token: str) -> Caller:
-    """Whose token this is; "unauthorized" for malformed, unknown, wrong and revoked ones alike, after the same work."""
+    """Caller of a token; "unauthorized" for malformed, unknown, wrong and revoked ones alike, after the same work."""
     match = _TOKEN.fullmatch(token)
     key_id, secret = match.groups() if match else ("", "")
     row = db.query(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
@@ -106,7 +106,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
 
 
 def revoke(db: Database, tenant: str, key_id: str) -> None:
-    """End a key of this tenant ("not-found" where it has no such key) for good. Twice is once."""
+    """Revoke a key of this tenant ("not-found" where it has no such key) for good. Twice is once."""
     with db.exclusive() as connection:
         this = (api_keys.c.id == key_id) & (api_keys.c.tenant == tenant)
         row = connection.execute(api_keys.select().where(this)).one_or_none()

@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from engine.records import merkle
 from engine.records.merkle import Node
 from service.clock import now
-from service.db import alone
+from service.db import take_write_lock
 from service.db.schema import audit, audit_nodes
 from service.trust.canonical import canonical
 
@@ -52,7 +52,7 @@ def append(
 
     Appenders wait for one another until they commit, so append last, where there is a choice. O(log n).
     """
-    alone(connection)
+    take_write_lock(connection)
     query = sa.select(audit.c.index, audit.c.hash).order_by(audit.c.index.desc()).limit(1)
     last = connection.execute(query).one_or_none()
     index, previous = (last[0] + 1, last[1]) if last is not None else (0, NO_PREVIOUS)

@@ -35,7 +35,7 @@ class Stored(Protocol):
 class Fault:
     """Something that was altered."""
 
-    index: int | None  # in the log; None for a row that no entry speaks of
+    index: int | None  # in the log; None for a row without an entry
     code: str  # entry, chain, gap, tree, asset, claim, signature or file
     text: str
 
@@ -83,7 +83,7 @@ def verify_log(db: Database, blobs: Stored | None = None) -> LogReport:
     """
     keys = jwks(db)
     with db.read() as connection:
-        # Taken before the log, so that a row committed meanwhile does not seem to be one the log never heard of.
+        # Taken before the log, so that a row committed meanwhile does not seem to be missing from the log.
         known = [(ASSET_REGISTERED, name) for name in connection.execute(sa.select(assets.c.id)).scalars()]
         known += [(CLAIM_ISSUED, name) for name in connection.execute(sa.select(claims.c.id)).scalars()]
         size = audit.size(connection)

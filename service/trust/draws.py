@@ -1,7 +1,7 @@
-"""Time stamps that draw a part of a record's plan (`engine.flows.records.draw`): asked for once each, and kept.
+"""Time stamps that draw a part of a record's plan (`engine.flows.records.draw`): requested once each, and kept.
 
-An operator could try records out by asking again and again, which claims count; nothing that he has without asking
-decides what is drawn.
+An operator could try records out by repeated requests, which claims count; without a request nothing decides what is
+drawn.
 """
 
 import base64
@@ -21,7 +21,7 @@ from service.settings import Settings
 
 
 def vouching(settings: Settings) -> str:
-    """Certificates (PEM) of who vouches for the time-stamping service, "" where nobody does and nothing is drawn.
+    """Certificates (PEM) that vouch for the time-stamping service; "" where there are none and nothing is drawn.
 
     InputError where the file has none.
     """
@@ -45,7 +45,7 @@ def draws_for(settings: Settings) -> bool:
 
 def stamp_to_draw(db: Database, settings: Settings, question: str) -> str:
     """The time stamp (reply, base64) of what is to be stamped for a plan (hexadecimal): the one that is kept, also
-    where another job asked for it at the same time, so that copies share what was drawn.
+    where another job requested it at the same time, so that copies share what was drawn.
 
     no-time-stamp where the service gives none that holds.
     """

@@ -24,7 +24,7 @@ _HEX = re.compile(r"[0-9a-fA-F\s]+", re.ASCII)
 
 @dataclass(frozen=True)
 class KeyInfo:
-    """What may be said of an owner key. The fingerprint is the one that records name."""
+    """Public facts of an owner key. The fingerprint is the one that records name."""
 
     id: str
     fingerprint: str
@@ -81,7 +81,7 @@ def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> Owner
 
 
 def list_keys(db: Database, tenant: str) -> list[KeyInfo]:
-    """What may be said of a tenant's keys, oldest first; no secrets."""
+    """Public facts of a tenant's keys, oldest first; no secrets."""
     query = owner_keys.select().where(owner_keys.c.tenant == tenant, owner_keys.c.deleted_at.is_(None))
     rows = db.query(query.order_by(owner_keys.c.created_at, owner_keys.c.id)).all()
     return [KeyInfo(row.id, row.fingerprint, row.label, row.created_at) for row in rows]

@@ -1,6 +1,6 @@
 """Another master key: every secret is sealed anew, in one transaction, and nothing that was handed out changes.
 
-1. The new key is written beside the old one.     2. All secrets are sealed under it, and it is logged.
+1. The new key is written next to the old one.    2. All secrets are sealed under it, and it is logged.
 3. It takes the old one's place. After a crash between 2 and 3 the next start does 3.
 """
 
@@ -43,8 +43,8 @@ def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file
         count += _reseal(connection, webhooks, webhooks.c.id, secret_seal, old, new)
         retired = new.seal(old.retiring(api_keys.PURPOSE), bind(RETIRED)).hex()
         connection.execute(sa.delete(facts).where(facts.c.name.in_([CHECK, RETIRED])))
-        told = [{"name": CHECK, "value": new.check_value}, {"name": RETIRED, "value": retired}]
-        connection.execute(facts.insert(), told)
+        rows = [{"name": CHECK, "value": new.check_value}, {"name": RETIRED, "value": retired}]
+        connection.execute(facts.insert(), rows)
         audit.append(connection, TENANT, "master_key.rotated", {"secrets": count})
     if settings.master_key is None:
         new_file(path).replace(path)  # 3

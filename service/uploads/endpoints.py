@@ -10,7 +10,7 @@ from service.db import page
 from service.db.schema import uploads
 from service.http.access import After, Core, Limit, Uploader
 from service.http.error_responses import OF_LIST, OF_OWN, responses
-from service.http.forms import FROM_JSON, WHOLE, Asked
+from service.http.forms import FROM_JSON, WHOLE, RequestBody
 from service.http.results import FileInfo, Time
 from service.problems import Problem
 from service.uploads import store
@@ -24,19 +24,19 @@ OCTETS = {"requestBody": {"required": True, "content": {"application/octet-strea
 _EXAMPLE: JsonValue = {"name": "plant.ply", "size": 28185736}
 
 
-class NewUpload(Asked):
+class NewUpload(RequestBody):
     """A slot for one file."""
 
     model_config = ConfigDict(strict=True, json_schema_extra={"examples": [_EXAMPLE]})
-    name: str = Field("", max_length=200, description="For people; it never becomes a path.")
+    name: str = Field("", max_length=200, description="File name, for display; never used as a path.")
     size: Annotated[int, Field(ge=1, le=1 << 50), WHOLE] | None = Field(
-        None, description="Bytes to come; needed to resume."
+        None, description="Size, bytes; needed to resume."
     )
-    sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="Digest to hold the bytes against.")
+    sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="Expected digest of the bytes.")
 
 
 class Upload(BaseModel):
-    """An upload as it stands."""
+    """An upload and its state."""
 
     model_config = ConfigDict(from_attributes=True)
     id: str
@@ -79,7 +79,7 @@ def list_uploads(core: Core, caller: Uploader, limit: Limit = 20, after: After =
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)
 def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
-    """How far an upload is: `offset` says where to continue."""
+    """State of an upload: `offset` says where to continue."""
     return Upload.model_validate(store.get(core, caller, upload_id))
 
 
@@ -116,5 +116,5 @@ async def put_upload(
 
 @router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=OF_OWN)
 def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
-    """Forget an upload; what was made of it stays."""
+    """Delete an upload; what was made from it stays."""
     store.drop(core, store.get(core, caller, upload_id))

@@ -67,7 +67,7 @@ async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Receiv
 async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
     """The row of an upload with the bytes of a request added; once it is complete, with what the file is.
 
-    A request that breaks off leaves what came of it, where the upload's size says that more is to come.
+    A request that breaks off leaves the bytes received, where the upload's size says that more is to come.
     """
     room = await asyncio.to_thread(store.room, service, row)
     with service.blobs.new_file() as path:
@@ -102,21 +102,21 @@ def inspect(service: Service, rows: Sequence[Any]) -> list[Any]:
                 )
                 infos |= {row.id: size for row, size in zip(pictures, found, strict=True)}
             for row in others:
-                asked = {kinds[row.id]: str(paths[row.id]), "spz_frame": "auto"}
+                request = {kinds[row.id]: str(paths[row.id]), "spz_frame": "auto"}
                 task = "inspect" if kinds[row.id] == "model" else "cameras"
-                infos[row.id] = _look(service, task, asked, folder, row.tenant)
+                infos[row.id] = _look(service, task, request, folder, row.tenant)
         except Problem as problem:
             if problem.status < 500:
                 for row in rows:
                     store.drop(service, row)
             raise
     names = ("format", "gaussians", "sh_degree", "repairs", "width", "height", "cameras")
-    told = {key: {name: info[name] for name in names if name in info} for key, info in infos.items()}
-    return [store.note(service, row, {"kind": kinds[row.id], **told.get(row.id, {})}) for row in rows]
+    facts = {key: {name: info[name] for name in names if name in info} for key, info in infos.items()}
+    return [store.note(service, row, {"kind": kinds[row.id], **facts.get(row.id, {})}) for row in rows]
 
 
-def _look(service: Service, task: str, asked: Mapping[str, Any], folder: Path, tenant: str) -> Mapping[str, Any]:
-    return run_once(service.settings, task, asked, folder, service.settings.inspect_seconds, tenant) or {}
+def _look(service: Service, task: str, request: Mapping[str, Any], folder: Path, tenant: str) -> Mapping[str, Any]:
+    return run_once(service.settings, task, request, folder, service.settings.inspect_seconds, tenant) or {}
 
 
 def gather(

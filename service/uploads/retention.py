@@ -58,7 +58,7 @@ def _named(service: Service) -> set[str]:
         for (pictures,) in connection.execute(sa.select(claims.c.pictures)):
             found.update(json.loads(pictures).values())
         running = jobs.c.state.not_in([state.value for state in FINAL])
-        for (request,) in connection.execute(sa.select(jobs.c.request).where(running)):
-            asked = json.loads(request)
-            found.update(filter(None, [asked.get("model"), asked.get("cameras"), *asked.get("images", [])]))
+        for (text,) in connection.execute(sa.select(jobs.c.request).where(running)):
+            request = json.loads(text)
+            found.update(filter(None, [request.get("model"), request.get("cameras"), *request.get("images", [])]))
     return found

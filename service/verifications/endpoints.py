@@ -14,7 +14,7 @@ from service.db import own
 from service.db.schema import acquisitions
 from service.http.access import Core, Verifier
 from service.http.budgets import spend
-from service.http.forms import Asked, Files, form_schema, read_form
+from service.http.forms import Files, RequestBody, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
@@ -35,7 +35,7 @@ _EXAMPLES: JsonValue = [
 ]
 
 
-class VerifyRequest(Asked):
+class VerifyRequest(RequestBody):
     """What to check, and against what."""
 
     model_config = ConfigDict(json_schema_extra={"examples": _EXAMPLES})
@@ -63,7 +63,7 @@ class VerifyRequest(Asked):
         None, max_length=64, description="Acquisition of this very suspect (the same bytes); the claim then names it."
     )
     route: Literal["auto", "model", "render", "image"] = Field("auto", description="Kind of evidence.")
-    spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that does not say.")
+    spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that states none.")
 
 
 FILES = {
@@ -97,36 +97,36 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     models = [body.upload_id] if body.upload_id else []
     cameras = [body.cameras_upload_id] if body.cameras_upload_id else []
     if bool(models or model_files) == bool(body.image_upload_ids or image_files):
-        raise Problem("invalid-request", "give one suspect: a model, or pictures of one")
+        raise Problem("invalid-request", "provide one suspect: a model, or pictures of one")
     if len(models) + len(model_files) > 1 or len(cameras) + len(camera_files) > 1:
         raise Problem("invalid-request", "provide exactly one model, and cameras at most once")
     if len(body.image_upload_ids) + len(image_files) > 64:
         raise Problem("invalid-request", "at most 64 pictures are read together")
     if (cameras or camera_files) and (models or model_files):
-        raise Problem("invalid-request", "cameras belong to pictures; a model needs none")
+        raise Problem("invalid-request", "cameras are only allowed with pictures")
     model = gather(core, caller, models, model_files, "model")
     images = gather(core, caller, body.image_upload_ids, image_files, "picture")
     views = gather(core, caller, cameras, camera_files, "cameras")
-    asked: dict[str, object] = {
+    request: dict[str, object] = {
         "model": model[0].sha256 if model else None,
         "images": [row.sha256 for row in images],
         "cameras": views[0].sha256 if views else None,
         **body.model_dump(include={"asset_id", "false_claim_rate", "route", "spz_frame", "suspect_seen"}, mode="json"),
     }
 
-    asked |= _acquired(core, caller, body, [row.sha256 for row in (*model, *images)])
+    request |= _acquired(core, caller, body, [row.sha256 for row in (*model, *images)])
 
     def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
             spend_subject(core, caller.tenant, body.asset_id)
-        return {**asked, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
+        return {**request, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
-    return submit(core, caller, "verify", retry_key, {"verify": asked}, make)
+    return submit(core, caller, "verify", retry_key, {"verify": request}, make)
 
 
 def _acquired(core: Service, caller: Caller, body: VerifyRequest, suspect: Sequence[str]) -> Mapping[str, str]:
-    """What is asked of a suspect of these digests that was acquired; conflict where something else was."""
+    """What a request says of a suspect of these digests that was acquired; conflict where something else was."""
     if body.acquisition_id is None:
         return {}
     row = own(core.db, acquisitions, caller.tenant, body.acquisition_id)

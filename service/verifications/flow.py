@@ -1,4 +1,4 @@
-"""The steps of a verify job: hold the suspect against the records, then sign the claim."""
+"""The steps of a verify job: compare the suspect with the records, then sign the claim."""
 
 import sqlalchemy as sa
 
@@ -30,17 +30,17 @@ def spend_subject(service: Service, tenant: str, asset_id: str) -> None:
 
 
 def _verify(service: Service, run: Run) -> Reply:
-    asked = run.job.request
+    request = run.job.request
     query = sa.select(assets).where(assets.c.tenant == run.job.tenant).order_by(assets.c.registered_at.desc())
-    if asked["asset_id"] is not None:
-        query = query.where(assets.c.id == asked["asset_id"])
+    if request["asset_id"] is not None:
+        query = query.where(assets.c.id == request["asset_id"])
     rows = service.db.query(query).all()
     if not rows:
-        raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
+        raise Problem("conflict", "no asset is registered, so there is nothing to compare the suspect with")
     suspect = {
-        "model": service.local(asked["model"], run),
-        "images": [service.local(digest, run) for digest in asked["images"]],
-        "spz_frame": asked["spz_frame"],
+        "model": service.local(request["model"], run),
+        "images": [service.local(digest, run) for digest in request["images"]],
+        "spz_frame": request["spz_frame"],
     }
     originals = {row.original_sha256 for row in rows}
     chosen = rows if len(originals) == 1 else screen(service, run, suspect, rows, likely=True)
@@ -52,14 +52,14 @@ def _verify(service: Service, run: Run) -> Reply:
         "verify",
         {
             **suspect,
-            "cameras": service.local(asked["cameras"], run),
+            "cameras": service.local(request["cameras"], run),
             "candidates": known,
             "stop_at_first": True,
-            "suspect_seen": asked.get("suspect_seen"),
-            "suspect_existed": asked.get("suspect_existed"),
-            **{name: asked[name] for name in ("false_claim_rate", "route")},
+            "suspect_seen": request.get("suspect_seen"),
+            "suspect_existed": request.get("suspect_existed"),
+            **{name: request[name] for name in ("false_claim_rate", "route")},
         },
-    ) | {"searched": {"scope": "all" if asked["asset_id"] is None else "one", "assets": len(rows)}}
+    ) | {"searched": {"scope": "all" if request["asset_id"] is None else "one", "assets": len(rows)}}
 
 
 def _commit(service: Service, run: Run) -> Ending:

@@ -1,4 +1,4 @@
-"""Telling webhooks that jobs have ended: at least once, again after a while where that failed, and not for ever.
+"""Delivery of messages to webhooks: at least once, repeated where that failed, but not for ever.
 
 A pending message is a row of `deliveries`. The process that takes one moves its time on by a lease: should it die,
 another takes the message then. Of each webhook a process takes one at a time: a slow receiver delays its own alone.
@@ -39,7 +39,7 @@ _log = logging.getLogger("mark3dgs.webhooks")
 
 
 def deliver_for_ever(service: Service) -> NoReturn:
-    """What a worker does beside its jobs."""
+    """What a worker does in addition to its jobs."""
     asyncio.run(_deliver_all(service))
 
 
@@ -74,7 +74,7 @@ def take(db: Database, busy: Collection[str] = (), most: int = AT_ONCE) -> list[
 
 
 async def _deliver(service: Service, row: Any) -> None:
-    """Try one delivery, and say what came of it."""
+    """Try one delivery, and record its outcome."""
     try:
         message = await asyncio.to_thread(_message, service, row)
         if message is None:
@@ -97,23 +97,23 @@ def _message(service: Service, row: Any) -> tuple[str, bytes, dict[str, str]] | 
     if webhook is None:
         return None
     if job is not None:
-        told = {"event": ENDED, "at": job.finished_at, "job": view(job_of(job)).model_dump()}
+        message = {"event": ENDED, "at": job.finished_at, "job": view(job_of(job)).model_dump()}
     elif notice is not None:
-        told = {"event": FOUND, "at": notice.created_at, "notice": notice_of(notice).model_dump()}
+        message = {"event": FOUND, "at": notice.created_at, "notice": notice_of(notice).model_dump()}
     else:
         return None
-    body = json.dumps(told, ensure_ascii=False).encode()
+    body = json.dumps(message, ensure_ascii=False).encode()
     signed = signature(secret_of(service.master, webhook), int(time.time()), body)
     agent = f"mark3dgs/{version('mark3dgs')}"
     return webhook.url, body, {"Content-Type": "application/json", "User-Agent": agent, HEADER: signed}
 
 
 def _settle(db: Database, row: Any, status: int | None, outcome: str) -> None:
-    """What came of a try: done, given up, or due again."""
+    """Record an attempt's outcome: done, given up, or due again."""
     last = row.tries >= len(RETRY_SECONDS)
-    told = f"given up after {row.tries + 1} tries: {outcome}" if last and outcome != DELIVERED else outcome
+    outcome_text = f"given up after {row.tries + 1} tries: {outcome}" if last and outcome != DELIVERED else outcome
     with db.write() as connection:
-        said = {"last_at": now(), "last_status": status, "last_outcome": told}
+        said = {"last_at": now(), "last_status": status, "last_outcome": outcome_text}
         connection.execute(sa.update(webhooks).where(webhooks.c.id == row.webhook).values(said))
     if last or outcome == DELIVERED:
         _drop(db, row)

@@ -11,7 +11,7 @@ from service.core import Service
 from service.db.schema import deliveries, webhooks
 from service.http.access import Admin, Core
 from service.http.error_responses import OF_OWN, responses
-from service.http.forms import Asked
+from service.http.forms import RequestBody
 from service.http.results import Time
 from service.open_network import is_public
 from service.problems import Problem
@@ -22,7 +22,7 @@ Events = Annotated[list[Literal["job.ended", "mark.found"]], Field(min_length=1,
 _EXAMPLE: JsonValue = {"url": "https://studio.example/mark3dgs", "events": ["job.ended", "mark.found"]}
 
 
-class NewWebhook(Asked):
+class NewWebhook(RequestBody):
     """An address that receives messages."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
@@ -31,7 +31,7 @@ class NewWebhook(Asked):
 
 
 class WebhookView(BaseModel):
-    """A webhook, and what came of the last message; never its secret."""
+    """A webhook, and the outcome of its last message; never its secret."""
 
     model_config = ConfigDict(from_attributes=True)
     id: str
@@ -39,19 +39,19 @@ class WebhookView(BaseModel):
     events: Annotated[Events, BeforeValidator(lambda text: text.split() if isinstance(text, str) else text)]
     created_at: Time
     waiting: int = Field(0, description="Messages that are still to be delivered.")
-    last_at: Time | None = Field(description="Of the last try.")
-    last_status: int | None = Field(description="HTTP; null where no answer came.")
-    last_outcome: str | None = Field(description="What came of it, in words.")
+    last_at: Time | None = Field(description="Time of the last delivery attempt.")
+    last_status: int | None = Field(description="HTTP status; null where no answer came.")
+    last_outcome: str | None = Field(description="Outcome of that attempt, in words.")
 
 
 class MadeWebhook(WebhookView):
-    """One just made."""
+    """A webhook just made."""
 
     secret: str = Field(description="What its messages are signed with. It is never shown again.")
 
 
 class WebhookList(BaseModel):
-    """All of the tenant, oldest first."""
+    """All webhooks of the tenant, oldest first."""
 
     items: list[WebhookView]
 
@@ -68,8 +68,8 @@ def create_webhook(body: NewWebhook, core: Core, caller: Admin, response: Respon
 
     The body is `{"event": "job.ended", "at": time, "job": the job}`, or `{"event": "mark.found", "at": time,
     "notice": the notice}`; the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`
-    with the HMAC-SHA256 of `SECONDS.BODY`. Any answer of 2xx is taken as received; else it comes again, eight times
-    in 21 hours. The same message may come twice.
+    with the HMAC-SHA256 of `SECONDS.BODY`. A 2xx answer confirms receipt; otherwise delivery is repeated, at most eight
+    attempts in 21 hours. The same message may come twice.
     """
     host = _host(core, body.url)
     most, events = core.settings.webhooks, " ".join(dict.fromkeys(body.events))
@@ -80,7 +80,7 @@ def create_webhook(body: NewWebhook, core: Core, caller: Admin, response: Respon
 
 @router.get("", operation_id="listWebhooks", responses=responses("unauthorized", "forbidden"))
 def list_webhooks(core: Core, caller: Admin) -> WebhookList:
-    """Webhooks of this tenant, with what came of the last message to each."""
+    """Webhooks of this tenant, with the outcome of the last message to each."""
     waiting = sa.select(sa.func.count()).where(deliveries.c.webhook == webhooks.c.id).scalar_subquery()
     query = sa.select(webhooks, waiting.label("waiting")).where(webhooks.c.tenant == caller.tenant)
     rows: list[Any] = list(core.db.query(query.order_by(webhooks.c.created_at, webhooks.c.id)))

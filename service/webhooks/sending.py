@@ -1,4 +1,4 @@
-"""One message to one address, which a stranger chose: never into our own network (`service.open_network`), never for
+"""One message to one address, which a tenant chose: never into our own network (`service.open_network`), never for
 long. No redirects, no proxy, of the answer the status alone.
 """
 
@@ -15,7 +15,7 @@ DELIVERED = "delivered"
 
 
 async def send(url: str, body: bytes, headers: dict[str, str], *, private: bool = False) -> tuple[int | None, str]:
-    """Post a message; status of the answer (None where there is none) and what came of it in words.
+    """Post a message; status of the answer (None where there is none) and the outcome in words.
 
     `private`: to any address, and over plain HTTP.
     """

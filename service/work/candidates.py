@@ -25,12 +25,12 @@ class Candidate:
     original: str  # SHA-256 of the file that was marked
     record: Path
     key: OwnerKey
-    logged: Mapping[str, str]  # what the service's log says of its registration; empty where it was not asked
+    logged: Mapping[str, str]  # what the service's log says of its registration; empty where not needed
     vouched: str = ""  # certificates (PEM) that vouch for the time-stamping service that drew for it
 
     def open(self) -> OpenedRecord:
-        """See `engine.flows.verify.search.Candidate`. The log of the service that asks attests the registration; that
-        the chips were not tried out, a time-stamping service."""
+        """See `engine.flows.verify.search.Candidate`. The calling service's log attests the registration; a
+        time-stamping service attests that the chips were not tried out."""
         try:
             data = self.record.read_bytes()
         except OSError:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from engine.credentials.manifest import EMBEDS
 from engine.credentials.signer import Signer
-from engine.credentials.signing import sign_beside, sign_into
+from engine.credentials.signing import sign_into, sign_sidecar
 from service.work.process import Progress, Reply, Request
 
 
@@ -18,6 +18,6 @@ def sign_model(request: Request, folder: Path, progress: Progress) -> Reply:
         files["model"] = f"model.{kind}"
         made = sign_into(model, folder / files["model"], record_id, signer)
     else:
-        made = sign_beside(model, kind, record_id, signer)
+        made = sign_sidecar(model, kind, record_id, signer)
     (folder / files["manifest"]).write_bytes(made.store)
     return {"manifest_id": made.id, "files": files}

@@ -11,8 +11,8 @@ from service.work.process import Progress, Reply, Request
 def settle_dispute(request: Request, folder: Path, progress: Progress) -> Reply:
     """Contract: docs/SERVICE.md."""
     progress("open record", 0.0)
-    asked = request["parties"]
-    opened = [candidate.open() for candidate in load_candidates({"candidates": asked})]
-    models = [load_model(each).model for each in asked]
+    parties = request["parties"]
+    opened = [candidate.open() for candidate in load_candidates({"candidates": parties})]
+    models = [load_model(each).model for each in parties]
     a, b = (Party(*each) for each in zip(opened, models, strict=True))
     return {"finding": settle(a, b, progress).to_json(), "files": {}}

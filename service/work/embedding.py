@@ -29,7 +29,7 @@ def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:
     key = OwnerKey(bytes.fromhex(request["key"]))
     files = {"model": "model", "record": "model.record", "preview": "preview.png", "sketch": "entry.bin"}
     # What is cheap to refuse is refused before the model is read.
-    asked = MarkRequest(
+    mark_request = MarkRequest(
         model=Path(request["model"]),
         key=key,
         outputs={request.get("copy") or "": MarkOutput(folder / files["model"], folder / files["record"])},
@@ -52,9 +52,9 @@ def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:
         name="the model",
         spz_frame=request.get("spz_frame") or "auto",
     )
-    (made,) = mark(asked, progress, check_model)
+    (made,) = mark(mark_request, progress, check_model)
     marked = made.embedding
-    kind = asked.format or output_of(made.loaded)  # a clip is a .ply, too
+    kind = mark_request.format or output_of(made.loaded)  # a clip is a .ply, too
     files["model"] = f"model.{kind}"
     made.output.model.rename(folder / files["model"])
     progress("picture", 0.0)

@@ -24,7 +24,7 @@ from service.work.pictures import draw_evidence
 from service.work.process import Progress, Reply, Request
 
 MOST_OTHERS = 20
-"""Assets beside the best one whose readings are handed out."""
+"""Assets besides the best one whose readings are returned, at most."""
 COULD_NOT_CHECK = "could_not_check"
 """Stands for a verdict where a record could not be opened."""
 
@@ -50,7 +50,7 @@ def verify_suspect(request: Request, folder: Path, progress: Progress) -> Reply:
     began = time.perf_counter()
     if bool(request.get("images")) == (request.get("model") is not None):
         raise Problem("invalid-request", "a suspect is one model, or pictures, not both and not neither")
-    asked = VerifyRequest(
+    verify_request = VerifyRequest(
         suspect=Upload(request),
         candidates=load_candidates(request),
         config=VerifyConfig(
@@ -63,10 +63,10 @@ def verify_suspect(request: Request, folder: Path, progress: Progress) -> Reply:
         regions=RegionConfig(),
     )
 
-    def told(stage: str, fraction: float) -> None:
+    def report(stage: str, fraction: float) -> None:
         progress("picture" if stage == "locate" else stage, fraction)  # it is there to be drawn
 
-    found = verify(asked, told)
+    found = verify(verify_request, report)
     suspect, best = found.read.suspect, found.best
     reply, stages = _report(found), dict(found.seconds_by_stage)
     started = time.perf_counter() - stages.pop("locate", 0.0)
@@ -99,13 +99,13 @@ def _brief(outcome: Outcome[Candidate]) -> Reply:
 
 def _others(found: VerifyAnswer[Candidate]) -> list[Reply]:
     """Claims of recognised assets but the best, those first that tell more."""
-    beside = sorted((each for each in found.search.outcomes if each is not found.best), key=lambda each: each.worth)
-    claims = [(each.candidate.asset, each.claim.to_json()) for each in reversed(beside) if each.claim is not None]
+    others = sorted((each for each in found.search.outcomes if each is not found.best), key=lambda each: each.worth)
+    claims = [(each.candidate.asset, each.claim.to_json()) for each in reversed(others) if each.claim is not None]
     return [{"asset": asset, "claim": claim} for asset, claim in claims if recognizes(claim)][:MOST_OTHERS]
 
 
 def _report(found: VerifyAnswer[Candidate]) -> Reply:
-    """The part of the reply that speaks of the best candidate."""
+    """The part of the reply about the best candidate."""
     names = ("asset", "claim", "record", "attested", "drawing", "registered_message")
     nothing: Reply = dict.fromkeys(names) | {"files": {}, "regions": None}
     best = found.best

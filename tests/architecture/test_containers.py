@@ -1,4 +1,4 @@
-"""What every container of docker/compose*.yaml has: limits, logs that end, and somebody who sees that it is well."""
+"""What every container of docker/compose*.yaml has: limits, logs that end, and a health check."""
 
 from __future__ import annotations
 

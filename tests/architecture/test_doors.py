@@ -36,10 +36,10 @@ def named(doors: str) -> set[str]:
 
 def test_the_table_names_every_step_and_nothing_else() -> None:
     keys = {one.name for kind in (Part, Photos, Scans) for one in fields(kind)}
-    told = set().union(*(named(row[1]) for row in rows()))
-    assert sorted(set(KINDS) - told) == []
-    assert sorted(told - set(KINDS) - keys) == []
-    assert {"kind", "photos", "points", "odometry"} <= told & keys
+    documented = set().union(*(named(row[1]) for row in rows()))
+    assert sorted(set(KINDS) - documented) == []
+    assert sorted(documented - set(KINDS) - keys) == []
+    assert {"kind", "photos", "points", "odometry"} <= documented & keys
 
 
 def test_no_cell_is_empty_and_commands_and_tests_exist() -> None:

@@ -1,4 +1,4 @@
-"""What is begun while modules load is there when asked for, or its error is."""
+"""What is begun while modules load is there when needed, or its error is."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def test_equation_5_cuts_redundant_clusters_harder() -> None:
 def test_unneeded_bands_go_first_and_within_the_error() -> None:
     full = model(500, degree=2)
     curvature = np.ones((500, 9), np.float32)
-    curvature[:250, 1:] = 1e-6  # nobody looks at the higher bands of the first half
+    curvature[:250, 1:] = 1e-6  # no view shows the higher bands of the first half
     thin, dropped = drop_unseen_bands(full, curvature, pixels=1000, error_budget=1e-4)
     assert dropped >= 250 * 8
     assert not thin.sh[:250, 1:].any()

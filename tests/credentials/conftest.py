@@ -1,4 +1,4 @@
-"""A signer nobody knows, and small models as they are delivered."""
+"""A self-made signer, and small models as they are delivered."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def test_a_manifest_beside_a_glb(
         run(["credentials", "sign", str(model), str(tmp_path / "else.c2pa"), "--record", str(record), *map(str, desk)])
         == 0
     )
-    assert "marked.c2pa, beside the model" in capsys.readouterr().err
+    assert "marked.c2pa" in capsys.readouterr().err
 
 
 def test_refusals(

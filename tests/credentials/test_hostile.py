@@ -1,4 +1,4 @@
-"""Manifests that somebody made to mislead or to hurt: they convince nobody, and the model is read all the same."""
+"""Manifests made to mislead or to harm: none is trusted, and the model is read all the same."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ import pytest
 
 from engine.credentials import native, signing
 from engine.credentials.manifest import EMBEDDED, MOST_BYTES, model_type
-from engine.credentials.native import MOST_CHARACTERS, MOST_TOLD, parse
+from engine.credentials.native import MOST_CHARACTERS, MOST_ENTRIES, parse
 from engine.credentials.reading import Credentials, read_credentials
 from engine.credentials.signer import Signer
-from engine.credentials.signing import sign_beside, sign_into
+from engine.credentials.signing import sign_into, sign_sidecar
 from engine.errors import InputError
 from engine.formats import read_model
 from tests.credentials.conftest import RECORD, Desk
@@ -71,7 +71,7 @@ def test_any_change_of_the_file_shows(signed: Path, desk: Desk, tmp_path: Path) 
 
 
 def test_a_manifest_of_another_file(signed: Path, files: dict[str, Path], desk: Desk, tmp_path: Path) -> None:
-    """Who puts somebody's good name into a model of his own is found out."""
+    """A forger who puts a trusted name into a model of his own is found out."""
     with zipfile.ZipFile(signed) as archive:
         store = archive.read(EMBEDDED)
     thief, mine = tmp_path / "thief.sog", read_model(files["sog"]).model
@@ -85,7 +85,7 @@ def test_a_manifest_of_another_file(signed: Path, files: dict[str, Path], desk: 
     assert (found.state, found.signer) == ("Invalid", "Studio Acme")
     beside = tmp_path / "stolen.glb"
     beside.write_bytes(files["glb"].read_bytes())
-    of_splat = sign_beside(files["splat"], "splat", RECORD, desk.signer).store
+    of_splat = sign_sidecar(files["splat"], "splat", RECORD, desk.signer).store
     for stolen, states in ((store, ("Unread", "Invalid")), (of_splat, ("Invalid",))):
         (tmp_path / "stolen.c2pa").write_bytes(stolen)
         other = read_credentials(beside, "glb", desk.authority)
@@ -94,8 +94,8 @@ def test_a_manifest_of_another_file(signed: Path, files: dict[str, Path], desk: 
 
 
 def test_bytes_flipped_in_a_manifest_never_pass_for_another(files: dict[str, Path], desk: Desk) -> None:
-    """Each is refused, invalid, or changes nothing that is told (padding)."""
-    store = sign_beside(files["glb"], "glb", RECORD, desk.signer).store
+    """Each is refused, invalid, or changes nothing that is reported (padding)."""
+    store = sign_sidecar(files["glb"], "glb", RECORD, desk.signer).store
     whole = parse(files["glb"], "model/gltf-binary", store, desk.authority)
     assert whole["state"] == "Trusted"
     rng, seen = np.random.default_rng(7), set()
@@ -129,10 +129,10 @@ def test_manifests_that_are_none(files: dict[str, Path], desk: Desk, signed: Pat
 def test_a_huge_manifest_reaches_no_native_code(
     files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def asked(request: dict[str, str]) -> dict[str, Any]:
+    def reply(request: dict[str, str]) -> dict[str, Any]:
         raise AssertionError("it was handed on")
 
-    monkeypatch.setattr("engine.credentials.reading._ask", asked)
+    monkeypatch.setattr("engine.credentials.reading._ask", reply)
     stored, bomb = tmp_path / "stored.sog", tmp_path / "bomb.sog"
     repacked(
         files["sog"],
@@ -180,11 +180,11 @@ def test_words_that_harm_a_terminal(
     path = tmp_path / "loud.sog"
     sign_into(files["sog"], path, RECORD, desk.signer)
     found = read(path)
-    told = (*found.actions, *(part for binding in found.bindings for part in binding), found.generator, found.signer)
-    assert all(text.isprintable() for text in told)
+    output = (*found.actions, *(part for binding in found.bindings for part in binding), found.generator, found.signer)
+    assert all(text.isprintable() for text in output)
     assert "?[31mvalue" in found.bindings[0][1]
     assert len(found.generator) <= MOST_CHARACTERS
-    assert len(found.bindings) == len(found.actions) == MOST_TOLD
+    assert len(found.bindings) == len(found.actions) == MOST_ENTRIES
     assert found.record_ids == []
 
 
@@ -203,12 +203,12 @@ def test_the_folder_one_stands_in_is_not_run(
 
 
 def test_nobody_is_called(files: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A certificate may name an address to ask about it (OCSP): whoever signs would learn who looks, and when."""
-    asked: list[str] = []
+    """A certificate may name an address to ask about it (OCSP): the signer would learn who looks, and when."""
+    calls: list[str] = []
 
     class Listener(http.server.BaseHTTPRequestHandler):
         def do_POST(self) -> None:
-            asked.append(self.path)
+            calls.append(self.path)
             self.send_error(404)
 
         do_GET = do_POST
@@ -221,12 +221,12 @@ def test_nobody_is_called(files: dict[str, Path], monkeypatch: pytest.MonkeyPatc
     try:
         key = KEYS["es256"]()
         chain = chain_of(key, usages=MAIL, ocsp=f"http://127.0.0.1:{server.server_port}/ocsp")
-        made = sign_beside(files["glb"], "glb", RECORD, Signer(chain, pem(key)))
+        made = sign_sidecar(files["glb"], "glb", RECORD, Signer(chain, pem(key)))
         assert parse(files["glb"], model_type("glb"), made.store)["state"] == "Valid"
-        assert asked == []
+        assert calls == []
         verify = native.SETTINGS["verify"] | {"ocsp_fetch": True}
         monkeypatch.setitem(native.SETTINGS, "verify", verify)
         parse(files["glb"], model_type("glb"), made.store)
-        assert asked, "or this test sees nothing"
+        assert calls, "or this test sees nothing"
     finally:
         server.shutdown()

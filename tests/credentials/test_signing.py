@@ -19,7 +19,7 @@ from engine.credentials.manifest import ALG, EMBEDDED, binding_value, bound_reco
 from engine.credentials.native import parse
 from engine.credentials.reading import read_credentials
 from engine.credentials.signer import Signer, make_trial_signer
-from engine.credentials.signing import sign_beside, sign_into
+from engine.credentials.signing import sign_into, sign_sidecar
 from engine.errors import InputError
 from engine.formats import read_model
 from tests.credentials.conftest import RECORD, Desk
@@ -78,7 +78,7 @@ def test_a_manifest_beside_the_model(kind: str, files: dict[str, Path], desk: De
     model = tmp_path / f"small.{kind}"
     model.write_bytes(files[kind].read_bytes())
     assert read_credentials(model, kind) is None
-    (tmp_path / "small.c2pa").write_bytes(sign_beside(model, kind, RECORD, desk.signer).store)
+    (tmp_path / "small.c2pa").write_bytes(sign_sidecar(model, kind, RECORD, desk.signer).store)
     found = read_credentials(model, kind, desk.authority)
     assert found is not None
     assert (found.place, found.state, found.record_ids) == ("small.c2pa", "Trusted", [RECORD])
@@ -110,7 +110,7 @@ def test_every_kind_of_key_signs(algorithm: str, files: dict[str, Path], tmp_pat
     key = KEYS[algorithm]()
     signer = Signer(chain_of(key, usages=MAIL), pem(key))
     assert signer.algorithm == algorithm
-    made = sign_beside(files["glb"], "glb", RECORD, signer)
+    made = sign_sidecar(files["glb"], "glb", RECORD, signer)
     found = parse(files["glb"], "model/gltf-binary", made.store)
     assert (found["state"], found["algorithm"].lower()) == ("Valid", algorithm)
 
@@ -122,7 +122,7 @@ def test_files_as_tools_write_them(files: dict[str, Path], tmp_path: Path) -> No
     old = key.private_bytes(Encoding.PEM, PrivateFormat.TraditionalOpenSSL, NoEncryption())
     signer = Signer(said + chain_of(key, usages=MAIL), said + old)
     assert (signer.chain + signer.key).isascii()
-    assert sign_beside(files["glb"], "glb", RECORD, signer).id
+    assert sign_sidecar(files["glb"], "glb", RECORD, signer).id
 
 
 def test_signers_that_are_none(desk: Desk) -> None:

@@ -120,7 +120,7 @@ class Client(httpx.Client):
         return found
 
     def end(self, job: str, seconds: float = 240) -> dict[str, Any]:
-        """The job once it has ended; a service that is away for a while is asked again."""
+        """The job once it has ended; a service that is away for a while is polled again."""
         ended = ("succeeded", "disputed", "failed", "cancelled")
 
         def look() -> dict[str, Any] | None:

@@ -30,12 +30,12 @@ def test_every_name_is_what_type_checkers_are_told() -> None:
     """The block for type checkers and the map that the interpreter reads are two lists of one thing."""
     tree = ast.parse((INSTALLED / "mark3dgs" / "__init__.py").read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    told = {alias.name: node.module for node in imports for alias in node.names}
-    assert told == {name: home for home, names in mark3dgs._HOMES.items() for name in names}
+    declared = {alias.name: node.module for node in imports for alias in node.names}
+    assert declared == {name: home for home, names in mark3dgs._HOMES.items() for name in names}
     for name in mark3dgs.__all__:
         assert getattr(mark3dgs, name).__name__ == name
         assert name in dir(mark3dgs)
-    assert mark3dgs.__all__ == sorted(told)
+    assert mark3dgs.__all__ == sorted(declared)
     assert not hasattr(mark3dgs, "no_such_name")
 
 

@@ -1,4 +1,4 @@
-"""`embed --profile auto` through the command line: it says what it chose, and keeps what was asked for."""
+"""`embed --profile auto` through the command line: it says what it chose, and keeps what was requested."""
 
 from __future__ import annotations
 

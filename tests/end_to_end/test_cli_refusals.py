@@ -84,10 +84,10 @@ from engine.cli.app import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from engine.flows.embed import planning_basis as groundwork
 quantize = groundwork.quantize
-def told(*given, **named):
+def announced(*given, **named):
     sys.stderr.write("in the middle\\n")
     return quantize(*given, **named)
-groundwork.quantize = told
+groundwork.quantize = announced
 main()
 """
     with subprocess.Popen(

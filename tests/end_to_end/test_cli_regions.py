@@ -16,13 +16,13 @@ from tests.end_to_end.conftest import Marked
 def test_where_the_mark_is(marked: Marked, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, said = marked.verify(capsys, marked.model, "--regions", tmp_path / "where", "--false-discovery-rate", "0.05")
     assert code == 0
-    told = json.loads((tmp_path / "where" / "regions.json").read_text())
-    assert told["found"][0]["transform"]["scale"] == pytest.approx(1.0, rel=1e-3)
-    assert said["regions"] == {name: told[name] for name in said["regions"] if name != "folder"} | {
+    output = json.loads((tmp_path / "where" / "regions.json").read_text())
+    assert output["found"][0]["transform"]["scale"] == pytest.approx(1.0, rel=1e-3)
+    assert said["regions"] == {name: output[name] for name in said["regions"] if name != "folder"} | {
         "folder": str(tmp_path / "where")
     }
     assert said["regions"]["false_discovery_rate"] == 0.05
-    assert said["regions"]["marked"] == len(told["found"][0]["regions"]) > 50
+    assert said["regions"]["marked"] == len(output["found"][0]["regions"]) > 50
     assert "locate" in said["seconds_by_stage"]
     with np.load(tmp_path / "where" / "regions.npz", allow_pickle=False) as rows:
         names = [str(name) for name in rows["states"]]

@@ -70,7 +70,7 @@ def test_where_a_time_stamping_service_drew_a_claim_needs_less(marked: Marked, c
         assert run([*map(str, made), url]) == 0
     assert f"--earlier {record}" in " ".join(capsys.readouterr().out.split())
     again = (*made[:2], tmp_path / "later.ply", *made[3:6], tmp_path / "later.record", *made[7:-1], "--earlier", record)
-    assert marked.ask(capsys, *again)[0] == 0, "nobody is asked for a stamp"
+    assert marked.ask(capsys, *again)[0] == 0, "no stamp is requested"
     assert (tmp_path / "later.ply").read_bytes() == model.read_bytes(), "another watermark"
     ask = ("verify", model, "--record", record, "--key", marked.key)
     for trust, basis, rate in (

@@ -1,4 +1,4 @@
-"""gsply with its kernels as plain Python: compiling them takes longer than all that they are asked here."""
+"""gsply with its kernels as plain Python: compiling them takes longer than all their calls here."""
 
 import sys
 

@@ -139,7 +139,7 @@ def test_nodes_place_what_they_show() -> None:
 
 
 def test_sizes_that_were_stored_as_logarithms() -> None:
-    """splat-transform's writer did so for a while; nobody else's negative sizes are taken for that."""
+    """splat-transform's writer did so for a while; no other writer's negative sizes are taken for that."""
     parsed, binary = asset_of(splats(40, 0) | {f"{EXTENSION}:SCALE": np.full((40, 3), -3.0, np.float32)})
     parsed["asset"]["generator"] = "splat-transform 1.8.0"
     loaded = read_model(glb_of(parsed, binary))

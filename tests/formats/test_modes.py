@@ -148,9 +148,9 @@ def test_harmless_extras_are_no_motion() -> None:
 def test_indices_into_codebooks_are_refused_by_name() -> None:
     names = names_of(1)
     data = ply_of(names, rows_for(names, 5))
-    told = data.replace(b"element vertex", b"element codebook_centers 0\nproperty float a\nelement vertex", 1)
+    changed = data.replace(b"element vertex", b"element codebook_centers 0\nproperty float a\nelement vertex", 1)
     with pytest.raises(UnsupportedFormatError, match="indices into codebooks"):
-        read_model(told)
+        read_model(changed)
     bare = [name for name in names if not name.startswith("f_dc")]
     with pytest.raises(FormatError, match="give the folder"):
         read_model(ply_of(bare, rows_for(bare, 5)))

@@ -88,8 +88,8 @@ def test_doubles_beyond_float32_are_left_out_and_rounded_ones_told() -> None:
     georeferenced = columns["x"][1].astype(np.float64) + 654321.123
     loaded = read_model(file_of(columns | small | {"x": ("double", georeferenced)}))
     error = np.abs(georeferenced - georeferenced.astype(np.float32))
-    (told,) = [repair for repair in loaded.repairs if repair.code == "centers_rounded"]
-    assert told.count == np.count_nonzero(error > 0.01 / 20) > 100
+    (reported,) = [repair for repair in loaded.repairs if repair.code == "centers_rounded"]
+    assert reported.count == np.count_nonzero(error > 0.01 / 20) > 100
 
 
 @pytest.mark.parametrize("prefix", ["scalar_", "sf_", "Scalar_"])
@@ -99,13 +99,13 @@ def test_a_prefix_of_the_names_is_dropped(prefix: str) -> None:
     whole = {prefix + name: column for name, column in columns.items()}
     gray = {name: ("uchar", np.full(300, 9)) for name in ("red", "green", "blue")}
     plain = read_model(file_of(columns)).model
-    for stored, told in (
+    for stored, reported in (
         (renamed, {"names_prefixed"}),
         (whole, {"names_prefixed"}),
         (renamed | gray, {"names_prefixed", "extra_properties"}),
     ):
         loaded = read_model(file_of(stored))
-        assert codes(loaded) == told
+        assert codes(loaded) == reported
         np.testing.assert_array_equal(loaded.model.sh, plain.sh)
         np.testing.assert_array_equal(loaded.model.means, plain.means)
 

@@ -114,7 +114,7 @@ def test_archives_that_lie_are_refused():
 
 
 def test_foreign_entries_are_never_unpacked():
-    """Names with paths and bombs beside the scene do no harm: nobody asks for them."""
+    """Names with paths and bombs next to the scene do no harm: they are never read."""
     extra = {"../../evil": b"x", "/etc/evil": b"x", "__MACOSX/._meta.json": b"x", "bomb": bytes(16 << 20)}
     data = bundle({**unbundle(SCENE), **extra}, zipfile.ZIP_DEFLATED)
     model, _ = read_sog(data, file="x")

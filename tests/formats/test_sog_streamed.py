@@ -195,7 +195,7 @@ DEEP = b'{"lodLevels":1,"filenames":["a/meta.json"],"tree":' + b'{"children":[' 
         (changed(*ROWS, "file", value=1), "of 1 files"),
         (changed(*ROWS, "offset", value=-1), "of 1 files"),
         (changed(*ROWS, "count", value=1.5), "of 1 files"),
-        (changed(*ROWS, "offset", value=1), "rows 1 to 21 are asked for, it holds 20"),
+        (changed(*ROWS, "offset", value=1), "rows 1 to 21; the chunk holds 20"),
         (changed("tree", "children", 0, "lods", value={"1": {}}), "level '1', there are 1"),
         (changed("tree", "children", 0, "lods", value={"00": {}}), "level '00', there are 1"),
         (b"[]", "no JSON object"),

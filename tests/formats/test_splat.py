@@ -107,7 +107,7 @@ HEADS = (b"PK\3\4", b"PK..", b"\x1f\x8b\x08\0", b"NGSP", b"ply\n", b"glTF", b"{.
 
 @pytest.mark.parametrize("head", HEADS)
 def test_the_first_number_may_be_any_bytes(head: bytes, tmp_path: Path) -> None:
-    """By chance, or so that nobody can check a copy that every viewer shows."""
+    """By chance, or to prevent the check of a copy that every viewer shows."""
     path = tmp_path / "copy.splat"
     path.write_bytes(head + encode_model(random_model(0, 100), "splat")[4:])
     assert not is_picture(path)

@@ -47,8 +47,8 @@ def test_reader_is_its_slow_twin_on_any_bytes(container, version, degree):
     model, repairs = read_spz(container(version, n, degree, sections), file="x", frame="ply")
     assert len(model) == n
     assert model.sh_degree == min(degree, 3)
-    told = {r.code for r in repairs} - {"quaternions_normalized"}  # random bits may exceed the unit sphere
-    assert told == ({"degree_dropped"} if degree == 4 else set())
+    reported = {r.code for r in repairs} - {"quaternions_normalized"}  # random bits may exceed the unit sphere
+    assert reported == ({"degree_dropped"} if degree == 4 else set())
     for i in range(n):
         twin = decode_gaussian(sections, i, version, 12, rest)
         np.testing.assert_array_equal(model.means[i], twin["means"].astype(np.float32))

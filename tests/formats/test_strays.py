@@ -1,4 +1,4 @@
-"""A few Gaussians far away cost the others nothing in any format, and are told where they are left out."""
+"""A few Gaussians far away cost the others nothing in any format, and are reported where they are left out."""
 
 import numpy as np
 import numpy.typing as npt

@@ -22,9 +22,9 @@ def closure(*extras: str) -> frozenset[str]:
     found: set[str] = set()
     waiting = [(Requirement(line), frozenset[str]()) for line in wanted]
     while waiting:
-        requirement, asked = waiting.pop()
+        requirement, chosen = waiting.pop()
         name = canonicalize_name(requirement.name)
-        if requirement.marker is not None and not any(requirement.marker.evaluate({"extra": e}) for e in asked | {""}):
+        if requirement.marker is not None and not any(requirement.marker.evaluate({"extra": e}) for e in chosen | {""}):
             continue
         if name in found and not requirement.extras:
             continue

@@ -1,4 +1,4 @@
-"""Memory that was freed is handed out again, not asked of the kernel anew."""
+"""Memory that was freed is handed out again, not requested from the kernel anew."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def test_kernels_of_a_package_that_is_read_only_are_found(places: Path, monkeypa
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no numbers of users")
 @pytest.mark.parametrize("home", ["", "missing"])
 def test_without_a_home_there_are_temporary_files(places: Path, monkeypatch: pytest.MonkeyPatch, home: str) -> None:
-    """As with `docker run --user`: nobody's home, or one that cannot be made."""
+    """As with `docker run --user`: no home, or one that cannot be made."""
     block(places / "engine" / "__pycache__")
     if home:
         block(places / "missing")
@@ -86,7 +86,7 @@ def test_without_a_home_there_are_temporary_files(places: Path, monkeypatch: pyt
     own = places / "tmp" / f"mark3dgs-{os.getuid()}"
     assert kernel_cache.folder() == own
     assert own.stat().st_mode & 0o777 == 0o700
-    own.chmod(0o777)  # somebody else could have put code there
+    own.chmod(0o777)  # another user could have put code there
     kernel_cache.folders.cache_clear()
     kernel_cache.folder.cache_clear()
     assert kernel_cache.folder() is None

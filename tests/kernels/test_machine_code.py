@@ -66,13 +66,13 @@ def test_arguments_of_every_kind_arrive() -> None:
             assert (first, length, bool(said)) == _mixed(x, some, flag, n, f, wanted, more)
             np.testing.assert_array_equal(out, wanted)
     assert run.signatures
-    assert run._compiled is None, "numba was asked to run it"
+    assert run._compiled is None, "numba ran it"
 
 
 @pytest.mark.usefixtures("store")
 def test_arrays_of_every_layout_are_read_as_they_lie() -> None:
     @kernel
-    def told(x):
+    def weigh(x):
         s = 0.0
         for i in range(x.shape[0]):
             for j in range(x.shape[1]):
@@ -84,7 +84,7 @@ def test_arrays_of_every_layout_are_read_as_they_lie() -> None:
     packed[:] = grid
     for x in (grid, np.asfortranarray(grid), grid[::2, 1:], grid.T, grid[:0], packed):
         i, j = np.indices(x.shape)
-        assert told(x) == (x * (1 + i + 10 * j)).sum()
+        assert weigh(x) == (x * (1 + i + 10 * j)).sum()
     assert len({native.kind_of(x) for x in (grid, grid.T, grid[::2, 1:], packed)}) == 4
 
 
@@ -195,7 +195,7 @@ from engine.watermark.keys import OwnerKey
 if sys.argv[2] == "warm":
     warm_up("main")
     sys.exit()
-sys.modules["numba"] = None  # whoever imports it fails
+sys.modules["numba"] = None  # an import of it fails
 loaded, key = read_model(sys.argv[1]), OwnerKey(bytes(range(32)))
 config = profile("fast", landmark_views=4, views=2, view_size=128)
 made = embed(loaded.model, key, original_sha256=loaded.sha256, config=config)

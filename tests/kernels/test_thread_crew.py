@@ -1,4 +1,4 @@
-"""Threads that take turns: every turn once, whoever comes; failures, forks, many callers."""
+"""Threads that take turns: every turn once, by any thread; failures, forks, many callers."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def test_every_kind_of_work_is_made_ready_and_reports_progress(work: Work) -> No
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def helped(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The steps that helpers were called for; they do nothing."""
     steps: list[str] = []
     monkeypatch.setattr(subprocess, "Popen", MagicMock())
@@ -41,37 +41,37 @@ def small_steps(monkeypatch: pytest.MonkeyPatch, **steps: Callable[[], None]) ->
 
 
 def test_a_missing_kernel_calls_helpers_and_what_they_did_is_loaded(
-    monkeypatch: pytest.MonkeyPatch, asked: list[str]
+    monkeypatch: pytest.MonkeyPatch, helped: list[str]
 ) -> None:
-    ran, told = list[str](), list[float]()
+    ran, fractions = list[str](), list[float]()
 
     def compiling() -> None:
         native.announce()
         deadline = time.monotonic() + 20.0
-        while not asked and time.monotonic() < deadline:
+        while not helped and time.monotonic() < deadline:
             time.sleep(0.01)
         ran.append("first")
 
     small_steps(monkeypatch, first=compiling, second=lambda: ran.append("second"))
     said: list[str] = []
-    warm_up("embed", told.append, processes=2, compiling=lambda: said.append("compiling"))
+    warm_up("embed", fractions.append, processes=2, compiling=lambda: said.append("compiling"))
     assert said == ["compiling"]
-    assert asked == ["second"]
+    assert helped == ["second"]
     assert ran == ["first", "second"]
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
-def test_nobody_is_called_where_every_kernel_is_there(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
+def test_no_helper_is_called_where_every_kernel_is_there(monkeypatch: pytest.MonkeyPatch, helped: list[str]) -> None:
     ran = list[str]()
     small_steps(monkeypatch, first=lambda: ran.append("first"), second=lambda: ran.append("second"))
     said: list[str] = []
     warm_up("embed", processes=4, compiling=lambda: said.append("compiling"))
-    assert (asked, ran, said) == ([], ["first", "second"], [])
+    assert (helped, ran, said) == ([], ["first", "second"], [])
 
 
 def test_loading_ends_when_it_is_enough_and_compiling_does_not(
-    monkeypatch: pytest.MonkeyPatch, asked: list[str]
+    monkeypatch: pytest.MonkeyPatch, helped: list[str]
 ) -> None:
     ran = list[str]()
     small_steps(monkeypatch, first=lambda: ran.append("first"), second=lambda: ran.append("second"))
@@ -80,9 +80,9 @@ def test_loading_ends_when_it_is_enough_and_compiling_does_not(
 
     ran.clear()
     small_steps(monkeypatch, first=lambda: ran.append(str(native.announce())), second=lambda: None)
-    told = list[float]()
-    warm_up("embed", told.append, processes=1, enough=lambda: bool(ran))
-    assert told[-1] == 1.0
+    fractions = list[float]()
+    warm_up("embed", fractions.append, processes=1, enough=lambda: bool(ran))
+    assert fractions[-1] == 1.0
 
 
 def test_a_step_waits_for_those_with_the_same_kernels() -> None:
@@ -104,15 +104,15 @@ def test_a_step_waits_for_those_with_the_same_kernels() -> None:
 
 
 def test_steps_can_be_made_ready_by_a_program_of_its_own() -> None:
-    asked = "cells\ncolors\n"
+    names = "cells\ncolors\n"
     done = subprocess.run(
         [sys.executable, "-m", "engine.flows.warmup.warmup_steps"],
-        input=asked,
+        input=names,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert (done.returncode, done.stdout) == (0, asked), done.stderr
+    assert (done.returncode, done.stdout) == (0, names), done.stderr
 
 
 def test_a_helper_that_ends_is_no_loss(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,7 +185,7 @@ for work in ("embed", "model", "pictures"):
 
 
 def test_no_kernel_is_left_to_compile_when_the_work_begins() -> None:
-    """In a fresh process: a user is told of the wait, and it comes once."""
+    """In a fresh process: the wait is announced, and it comes once."""
     model = Path(__file__).parents[1] / "data" / "train_1000.ply"
     done = subprocess.run(
         [sys.executable, "-c", WORKS, str(model)], capture_output=True, text=True, check=False, cwd=model.parents[2]

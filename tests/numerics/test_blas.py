@@ -1,4 +1,4 @@
-"""One BLAS thread inside, whoever overlaps with whom, and the old number again outside."""
+"""One BLAS thread inside, however calls overlap, and the old number again outside."""
 
 from __future__ import annotations
 

@@ -26,9 +26,9 @@ def every_distance(points: np.ndarray, queries: np.ndarray, count: int) -> tuple
 @pytest.mark.parametrize(("dims", "count"), [(1, 2), (3, 16), (9, 2)])
 def test_they_are_the_nearest_of_all(points: int, dims: int, count: int) -> None:
     rng = np.random.default_rng(points)
-    there, asked = rng.normal(size=(points, dims)), 1.5 * rng.normal(size=(80, dims))
-    distance, index = KdTree(there).nearest(asked, count)
-    wanted, who = every_distance(there, asked, count)
+    there, samples = rng.normal(size=(points, dims)), 1.5 * rng.normal(size=(80, dims))
+    distance, index = KdTree(there).nearest(samples, count)
+    wanted, who = every_distance(there, samples, count)
     np.testing.assert_allclose(distance, wanted, rtol=1e-12)
     np.testing.assert_array_equal(index, who)
 

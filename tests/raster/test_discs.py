@@ -100,14 +100,14 @@ def test_flat_models_are_drawn_as_discs_without_being_told() -> None:
     view_from = camera()
     position = view_from.position
     colors = sh_colors(DISCS.sh, DISCS.means, position)
-    told = prepare_view(DISCS, view_from, RasterSettings(kernel="disc")).render(colors)[0]
-    np.testing.assert_array_equal(render(DISCS, view_from), told)
+    output = prepare_view(DISCS, view_from, RasterSettings(kernel="disc")).render(colors)[0]
+    np.testing.assert_array_equal(render(DISCS, view_from), output)
     as_gaussians = render(DISCS, view_from, settings=RasterSettings(kernel="gaussian"))
-    assert np.abs(as_gaussians - told).max() > 0.05
+    assert np.abs(as_gaussians - output).max() > 0.05
     thick = random_model(200, 21, 1)
     assert prepare_view(thick, view_from).geometry.discs.size == 0
     flattened = prepare_view(thick, view_from, RasterSettings(kernel="disc")).render(colors)[0]
-    np.testing.assert_array_equal(flattened, told, "the third scale is not looked at")
+    np.testing.assert_array_equal(flattened, output, "the third scale is not looked at")
     with pytest.raises(InputError, match="kernel"):
         RasterSettings(kernel="surfel")
 

@@ -94,12 +94,12 @@ def test_settings(settings: RasterSettings) -> None:
 def test_a_model_says_how_it_is_drawn() -> None:
     plain = random_model(150, 5, 4)
     tagged, view_from = replace(plain, antialiased=True), camera()
-    told = render(plain, view_from, settings=RasterSettings(antialiased=True))
-    np.testing.assert_array_equal(render(tagged, view_from), told)
-    np.testing.assert_array_equal(render(tagged.take(np.arange(150)), view_from), told)
+    drawn = render(plain, view_from, settings=RasterSettings(antialiased=True))
+    np.testing.assert_array_equal(render(tagged, view_from), drawn)
+    np.testing.assert_array_equal(render(tagged.take(np.arange(150)), view_from), drawn)
     as_before = render(tagged, view_from, settings=RasterSettings(antialiased=False))
     np.testing.assert_array_equal(as_before, render(plain, view_from))
-    assert np.abs(told - as_before).max() > 0.01
+    assert np.abs(drawn - as_before).max() > 0.01
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])

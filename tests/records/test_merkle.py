@@ -14,11 +14,11 @@ LEAVES = st.lists(st.binary(max_size=8), min_size=1, max_size=70)
 
 
 class Store:
-    """Perfect subtrees as the log keeps them; counts what is asked for."""
+    """Perfect subtrees as the log keeps them; counts what is read."""
 
     def __init__(self, leaves: list[bytes]) -> None:
         self.hashes: dict[Node, bytes] = {}
-        self.asked = 0
+        self.count = 0
         for index, leaf in enumerate(leaves):
             for level, position in merkle.completed_by(index):
                 self.hashes[level, position] = (
@@ -28,7 +28,7 @@ class Store:
                 )
 
     def __call__(self, nodes: list[Node]) -> dict[Node, bytes]:
-        self.asked += len(nodes)
+        self.count += len(nodes)
         return {node: self.hashes[node] for node in nodes}
 
 
@@ -88,7 +88,7 @@ def test_a_leaf_does_not_pass_for_a_node() -> None:
 def test_proofs_ask_for_few_nodes() -> None:
     store = Store([bytes([k % 256]) for k in range(5000)])
     merkle.inclusion_proof(0, 4999, store)
-    assert store.asked <= 26  # 2 log2(n)
+    assert store.count <= 26  # 2 log2(n)
 
 
 def test_known_answer() -> None:

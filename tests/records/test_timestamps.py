@@ -177,7 +177,7 @@ def test_a_stamp_of_another_authority_is_refused(token: bytes, tmp_path: Path) -
 
 
 def test_a_changed_stamp_is_refused_or_says_the_same(authority: Authority, token: bytes) -> None:
-    """Some bits in a reply are signed by nobody (its wrapping); none of them changes what it says."""
+    """Some bits in a reply are not signed (its wrapping); none of them changes what it says."""
     at, drawn, refused = stamped_at(token, JWS), drawn_from(token), 0
     for spot in range(0, len(token), 3):
         bent = token[:spot] + bytes([token[spot] ^ 1 << spot % 8]) + token[spot + 1 :]

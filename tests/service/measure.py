@@ -118,9 +118,9 @@ def parallel(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
 
             began = time.perf_counter()
             with ThreadPoolExecutor(100) as pool:
-                asked = list(pool.map(ask, range(100)))
+                answers = list(pool.map(ask, range(100)))
             queued = time.perf_counter() - began
-            ended = [wait_for(client, job) for _, job in asked]
+            ended = [wait_for(client, job) for _, job in answers]
             done = time.perf_counter() - began
 
             jobs = [
@@ -137,8 +137,8 @@ def parallel(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
     finally:
         served.stop()
     return {
-        "verifies": len(asked),
-        "refused": sum(status != 202 for status, _ in asked),
+        "verifies": len(answers),
+        "refused": sum(status != 202 for status, _ in answers),
         "marked": sum(job["result"]["verdict"] == "marked" for job in ended if job["result"]),
         "seconds_to_queue": queued,
         "seconds_to_end": done,

@@ -54,7 +54,7 @@ def fairness(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
 
         began = time.perf_counter()
         with ThreadPoolExecutor(32) as pool:
-            asked = Counter(pool.map(ask, range(args.jobs)))
+            answers = Counter(pool.map(ask, range(args.jobs)))
         queued = time.perf_counter() - began
         behind = _seconds(embed)
         left = _open_jobs(crowd)
@@ -87,7 +87,7 @@ def fairness(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         served.stop()
     return {
         "embed_alone_s": alone,
-        "verifications": dict(asked),
+        "verifications": dict(answers),
         "queued_in_s": queued,
         "embed_behind_them_s": behind,
         "left_when_it_ended": len(left),

@@ -30,7 +30,7 @@ def pytest_configure() -> None:
 
     def wrapped(read: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(read)
-        def told(data: Any, *arguments: Any, **named: Any) -> Any:
+        def recording(data: Any, *arguments: Any, **named: Any) -> Any:
             try:
                 return read(data, *arguments, **named)
             except FormatError:
@@ -38,7 +38,7 @@ def pytest_configure() -> None:
                     (folder / hashlib.sha256(data).hexdigest()).write_bytes(data)
                 raise
 
-        return told
+        return recording
 
     for module, name in (
         (ply, "read_ply"),

@@ -26,31 +26,31 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="each checkout takes its turn this often (3)")
     parser.add_argument("--repeats", type=int, default=15, help="raster: timed runs in each round (15)")
     parser.add_argument("--avx2", action="store_true", help="compile for a processor without AVX-512")
-    asked = parser.parse_args()
-    scene = str(asked.scene.absolute())
+    given = parser.parse_args()
+    scene = str(given.scene.absolute())
     programs = {
-        "raster": (RASTER, [scene, str(asked.repeats)]),
+        "raster": (RASTER, [scene, str(given.repeats)]),
         "compile": (COMPILE, []),
         "imports": (IMPORTS, []),
         "commands": (COMMANDS, [scene]),
     }
-    processor = without_avx512() if asked.avx2 else {}
+    processor = without_avx512() if given.avx2 else {}
     tell(json.dumps({"machine": machine_info()["cpu"], "compiled for": processor.get("NUMBA_CPU_NAME", "it")}))
     tell(f"{'':32}{'here':>10}{'there':>10}{'ratio':>8}   ratios of the rounds")
-    for part in asked.parts or programs:
+    for part in given.parts or programs:
         program, arguments = programs[part]
         if part != "compile":  # so that neither compiles while it is timed
-            for checkout in (HERE, asked.other):
+            for checkout in (HERE, given.other):
                 run(checkout, program, arguments, processor)
         rounds = []
-        for number in range(asked.rounds):
+        for number in range(given.rounds):
             found: dict[Path, dict[str, float]] = {}
-            turns = (HERE, asked.other) if number % 2 == 0 else (asked.other, HERE)  # who comes first is slower here
+            turns = (HERE, given.other) if number % 2 == 0 else (given.other, HERE)  # who comes first is slower here
             for checkout in turns:
                 with tempfile.TemporaryDirectory() as empty:
                     place = {"NUMBA_CACHE_DIR": empty} if part == "compile" else {}
                     found[checkout] = run(checkout, program, arguments, {**processor, **place})
-            rounds.append([found[HERE], found[asked.other]])
+            rounds.append([found[HERE], found[given.other]])
         for name in rounds[0][0]:
             if not rounds[0][1].get(name):  # a stage that the other does not have, or takes no time for
                 continue

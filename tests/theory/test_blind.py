@@ -111,7 +111,7 @@ def test_evidence_of_the_copy_layer_is_the_same_whatever_its_chips_are(scene: Ma
 
 
 def test_the_test_would_see_a_leak(scene: MarkedScene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Evidence that a strength enters is told apart."""
+    """Evidence that a strength enters is distinguished."""
     import engine.flows.verify.search as searching
 
     read = searching.read_layers

@@ -1,4 +1,4 @@
-"""Craver's inversion attack: a forged "original" made from somebody else's marked model.
+"""Craver's inversion attack: a forged "original" made from another owner's marked model.
 
 The attacker takes a public marked model, subtracts a mark of his own under his key, and registers the
 difference as his original. Were chips drawn from his key alone, the model minus his original would be his

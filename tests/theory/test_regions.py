@@ -28,7 +28,7 @@ def region_of_chips() -> np.ndarray:
 
 
 def suspect(rng: np.random.Generator, signs: np.ndarray, noise: float, foreign: bool, marked: np.ndarray) -> Evidence:
-    """Regions with the mark, the others with noise or with somebody else's mark, all of it under noise."""
+    """Regions with the mark, the others with noise or with another owner's mark, all of it under noise."""
     there = marked[region_of_chips()]
     other = rng.integers(0, 2, CHIPS) * 2.0 - 1.0 if foreign else np.zeros(CHIPS)
     y = np.where(there, signs, other) + noise * rng.standard_t(3, CHIPS)

@@ -34,7 +34,7 @@ THUMBNAIL, ACROSS = 240, 6
 FOREIGN = 3
 """Every so many pictures are held against another scene's record, too."""
 TOGETHER = 3
-"""Pictures read together, as somebody has who took more than one."""
+"""Pictures that are read together."""
 
 
 def main() -> None:

@@ -37,7 +37,7 @@ _NAMES = {lens.number: name for name, lens in _LENSES.items()}
 class PosedPhoto:
     """A photo of a reconstruction: where it was taken from, and through which lens.
 
-    `name` is that of the file, as the reconstruction gives it; it may hold folders and is not to be trusted as a path.
+    `name` is the file's, as the reconstruction gives it; it may hold folders and is not to be trusted as a path.
     `camera` is the lens without its distortion, which is OpenCV's k1, k2, p1, p2; zeros for a pinhole.
     """
 

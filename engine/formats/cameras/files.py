@@ -25,9 +25,9 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Camera]:
     """Read cameras, in the OpenCV frame, from INRIA's cameras.json, NeRF's transforms.json or a COLMAP model.
 
     `path` is a JSON file; or a COLMAP model, text or binary, by its folder or by one of its files; or a folder that
-    holds one of these under its usual name (``sparse/0``, ``cameras.json``, ``transforms.json``). The order is that of
-    the file; of a COLMAP model, that of the images' names. Where ``transforms.json`` gives an ``applied_transform``
-    (nerfstudio), it is undone: the cameras are then in the frame of the reconstruction.
+    holds one of these under its usual name (``sparse/0``, ``cameras.json``, ``transforms.json``). They are in the order
+    of the file; of a COLMAP model, in the order of the images' names. Where ``transforms.json`` gives an
+    ``applied_transform`` (nerfstudio), it is undone: the cameras are then in the frame of the reconstruction.
 
     CameraError, naming the file and the entry, if the file is not what it should be; InputError if there is none. A
     UserWarning says where lens distortion is ignored: all cameras of this program are pinholes.

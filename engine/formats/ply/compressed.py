@@ -28,7 +28,7 @@ _BOUNDS = [
 ]
 _WORDS = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 _SCALE_LIMIT = 20.0  # the format clamps log scales there
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # components beside the largest, in order
+_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # components but the largest, in order
 _CHUNKS_AT_ONCE = 64
 _MAX_REST = 15  # coefficients beyond the first that a model holds
 

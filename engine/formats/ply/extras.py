@@ -69,5 +69,5 @@ def named(names: Iterable[str]) -> str:
 
 
 def ignored(what: str, names: list[str]) -> Repair:
-    """What is said of properties or elements that no Gaussian has."""
+    """The note on properties or elements that no Gaussian has."""
     return Repair(f"extra_{what}", len(names), f"{what} that no Gaussian has were ignored: {named(names)}")

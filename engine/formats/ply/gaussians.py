@@ -31,7 +31,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3; degree 4 up
     to degree 3.
 
-    Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs``, ``filter_fused`` and what
+    Repairs report ``extra_properties``, ``extra_elements``, ``flat_discs``, ``filter_fused`` and what
     `engine.formats.ply.dialects` translates, too. FormatError if the bytes are not what the header says, or a property
     is missing or holds whole numbers; UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians
     move or lie in codebooks.
@@ -113,7 +113,7 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[R
         message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
         raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
-        message = "is missing; where the colors lie in codebooks beside the file (Compact3D), give the folder"
+        message = "is missing; where the colors lie in codebook files of its own (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
     if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names

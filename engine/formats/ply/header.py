@@ -181,5 +181,5 @@ def _clip(text: str) -> str:
 
 
 def _show(text: str) -> str:
-    """A stranger's text, made harmless for a message."""
+    """Untrusted text, made harmless for a message."""
     return ascii(_clip(text))

@@ -51,7 +51,7 @@ def _read(archive: Archive, file: str) -> tuple[GaussianModel, tuple[Repair, ...
         kept = np.zeros(meta.count, dtype=np.bool_)
         for offset, count in rows:
             if offset + count > meta.count:
-                message = f"rows {offset} to {offset + count} are asked for, it holds {meta.count} Gaussians"
+                message = f"the index names rows {offset} to {offset + count}; the chunk holds {meta.count} Gaussians"
                 raise FormatError(message, file=file, element=name)
             kept[offset : offset + count] = True
         model, mended = decode_scene(meta, chunk, file=file)

@@ -284,7 +284,7 @@ _LEFT, _GAP, _WIDTH = 0.0225, 0.0125, 0.31
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One image (H, W, 3) float32 in 0..1, its title and a word beside it."""
+    """One image (H, W, 3) float32 in 0..1, its title and a word next to it."""
 
     title: str
     caption: str
@@ -297,7 +297,7 @@ def draw_demo(path: Path, original: Panel, marked: Panel, suspect: Panel, headli
     Parameters
     ----------
     original, marked : Panel
-        The same view; their difference is drawn beside them.
+        The same view; their difference is drawn next to them.
     suspect : Panel
         What turned up.
     headline : str

@@ -35,7 +35,7 @@ def evaluate(
         Path | None,
         typer.Option(
             "--out",
-            help="Folder for cells, figures and report; a run goes on where it stopped. Suites that only print rows "
+            help="Folder for cells, figures and report; a stopped run continues. Suites that only print rows "
             "work without it.",
         ),
     ] = None,
@@ -62,7 +62,7 @@ def evaluate(
         Path | None, typer.Option("--lpips-weights", help="File with the weights of LPIPS. (perceptual)")
     ] = None,
     workers: Annotated[
-        int, typer.Option("--workers", min=1, help="Local processes. Timings want 1, on a quiet machine.")
+        int, typer.Option("--workers", min=1, help="Local processes. Timings need 1, on an idle machine.")
     ] = 1,
     dask: Annotated[
         str | None, typer.Option("--dask", metavar="ADDRESS", help="Run on an existing Dask cluster instead.")
@@ -75,8 +75,8 @@ def evaluate(
 ) -> int:
     """Measure, draw, report: results.json, figures (SVG, PNG) and report.html.
 
-    Stop it with Ctrl-C at any time; with --out the same command goes on where it
-    stopped.
+    Stop it with Ctrl-C at any time; with --out the same command continues where
+    it stopped.
 
     Examples:
 
@@ -123,8 +123,8 @@ def evaluate(
     if suite in MEASUREMENTS:
         rows = [{name: value for name, value in row.items() if name != "cell"} for row in rows]
         for row in rows:
-            told = (f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict))
-            console.say("  ".join(told))
+            fields = (f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict))
+            console.say("  ".join(fields))
         report |= MEASUREMENTS[suite].conditions(options) | {"rows": rows}
     for bar in report.get("bars", ()):
         word = {True: "met", False: "MISSED", None: "not measured"}[bar["met"]]
@@ -135,8 +135,8 @@ def evaluate(
     return 0
 
 
-def _scenes(asked: list[Path] | None) -> tuple[str, ...]:
-    scenes = tuple(str(path.resolve()) for path in asked or [shipped_scene()])
+def _scenes(given: list[Path] | None) -> tuple[str, ...]:
+    scenes = tuple(str(path.resolve()) for path in given or [shipped_scene()])
     for path in scenes:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file")

@@ -17,7 +17,7 @@ def shipped_scene() -> Path:
     scene = Path(__file__).resolve().parents[3] / "tests" / "data" / DEMO_SCENE
     if not scene.is_file():
         raise InputError(
-            f"the scene tests/data/{DEMO_SCENE} is not beside this installation (it ships with the"
+            f"the scene tests/data/{DEMO_SCENE} is not part of this installation (it ships with the"
             " repository): name a model of your own"
         )
     return scene

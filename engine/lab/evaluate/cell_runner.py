@@ -31,16 +31,16 @@ def run_cells(
     folder : Path
         Gets one ``<cell>.json`` for each, complete or not at all.
     workers : int
-        Local processes; 1 runs in this one. Timings want 1.
+        Local processes; 1 runs in this one. Timings need 1.
     dask : str, optional
         Address of a scheduler whose workers see the same files under the same paths.
     tell : callable, optional
-        Told a cell's name and the fraction done.
+        Called with a cell's name and the fraction done.
 
     Raises
     ------
     InputError
-        If two cells have one name, or Dask is asked for and not there.
+        If two cells have one name, or Dask is requested and not installed.
     """
     names = [cell.name for cell in cells]
     if len(set(names)) < len(names):

@@ -69,7 +69,7 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The settings in force while a figure is drawn: titles and legends ask for theirs when they are added."""
+    """The settings in force while a figure is drawn: titles and legends read theirs when they are added."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -94,7 +94,7 @@ def figure(
 
 
 def styles() -> Iterator[dict[str, Any]]:
-    """Colour, marker and dash for one series after the other, so that none is told by colour alone."""
+    """Colour, marker and dash for one series after the other, so that color is never the only difference."""
     for color, marker, dash in zip(cycle(PALETTE), cycle(MARKERS), cycle(DASHES), strict=False):
         yield {"color": color, "marker": marker, "linestyle": dash}
 

@@ -1,4 +1,4 @@
-"""What a measurement ran on: every benchmark stores this beside its numbers."""
+"""What a measurement ran on: every benchmark stores this with its numbers."""
 
 import os
 import platform

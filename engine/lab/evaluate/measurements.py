@@ -17,17 +17,17 @@ class Measurement:
 
     summary: str
     work: str
-    told: tuple[str, ...] = ("profile",)
+    reported: tuple[str, ...] = ("profile",)
     """Options that the function takes and the report repeats; those in TRIALS take their number from `--trials`."""
-    untold: tuple[str, ...] = ()
+    unreported: tuple[str, ...] = ()
     """Options that the function takes and the report leaves to the rows."""
-    scenes: Literal["each", "together", "beside the next", "beside another"] = "each"
-    """A cell for each scene, or one for all; with `other`, the scene after it (None where it is alone), or with the
+    scenes: Literal["each", "together", "with the next", "with another"] = "each"
+    """A cell for each scene, or one for all; with `other`, the scene after it (None if it is the only one), or the
     spare one in place of None."""
 
     def study(self, name: str) -> Study:
         """The suite as a study whose report is the table of its rows."""
-        options = {"trials" if option in TRIALS else option for option in (*self.told, *self.untold)}
+        options = {"trials" if option in TRIALS else option for option in (*self.reported, *self.unreported)}
         return Study(
             name,
             self.summary[0].upper() + self.summary[1:],
@@ -39,20 +39,20 @@ class Measurement:
 
     def conditions(self, options: Options) -> dict[str, Any]:
         """Options that the report repeats, with their values."""
-        return {option: _value(option, options) for option in self.told}
+        return {option: _value(option, options) for option in self.reported}
 
     def cells(self, name: str, options: Options) -> list[Cell]:
         """One cell a scene, or one for all."""
-        shared = {option: _value(option, options) for option in (*self.told, *self.untold)} | {"seed": options.seed}
+        shared = {name: _value(name, options) for name in (*self.reported, *self.unreported)} | {"seed": options.seed}
         work, scenes = f"engine.lab.evaluate.bench.{self.work}", list(options.scenes)
         if self.scenes == "together":
             return [Cell(name, work, {"scenes": scenes, **shared})]
         cells = []
         for number, (scene, after) in enumerate(zip(scenes, [*scenes[1:], scenes[0]], strict=True)):
             arguments = {"scene": scene, **shared}
-            if self.scenes in ("beside the next", "beside another"):
-                alone = options.spare if self.scenes == "beside another" else None
-                arguments["other"] = after if after != scene else alone
+            if self.scenes in ("with the next", "with another"):
+                last = options.spare if self.scenes == "with another" else None
+                arguments["other"] = after if after != scene else last
             stem = "".join(letter if letter.isalnum() else "_" for letter in Path(scene).stem)
             cells.append(Cell(f"{name}-{number}-{stem}", work, arguments))
         return cells
@@ -89,13 +89,13 @@ MEASUREMENTS = {
         "claims from pictures of unknown camera, and from another scene's",
         "attacks:measure_screenshots",
         ("profile", "trials"),
-        scenes="beside the next",
+        scenes="with the next",
     ),
     "foreign": Measurement(
         "pictures of the unmarked asset, of another scene, of lumps and photographs: claims and recognitions",
         "foreign:measure_foreign",
         ("profile", "pictures"),
-        scenes="beside the next",
+        scenes="with the next",
     ),
     "truth": Measurement(
         "false claims among wrong keys, against the proven bound",
@@ -106,10 +106,10 @@ MEASUREMENTS = {
     "suite": Measurement(
         "every attack of the simulator, with what it costs the attacker; failures first",
         "attacks:measure_suite",
-        scenes="beside another",
+        scenes="with another",
     ),
     "collusion": Measurement(
-        "buyers who put their copies together: who is named, and whether an innocent is",
+        "collusion: which of the colluding buyers are named, and whether an innocent one is",
         "truth:measure_collusion",
         ("innocents",),
     ),
@@ -121,7 +121,7 @@ MEASUREMENTS = {
     ),
     "removal": Measurement("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
     "oracle": Measurement(
-        "what it saves who takes it out to be told whether the mark is still there, so many times",
+        "what it saves an attacker to learn, so many times, whether the mark is still there",
         "oracle:measure_oracle",
         ("profile", "questions"),
     ),

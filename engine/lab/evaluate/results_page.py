@@ -20,7 +20,7 @@ UNKNOWN = "not recorded"
 HEAD = """# Results
 Current numbers only. This page is written by `python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md`
 from the files in [results](results); edit those. What earlier versions measured is in [history](history), the paper's
-numbers beside ours in [PAPER.md](PAPER.md).
+numbers next to ours in [PAPER.md](PAPER.md).
 
 Detection is **informed** throughout: it uses the owner's record, which holds the unmarked original. Blind methods solve
 a harder problem. z is the detection score: a claim needs z 6.7 at 1 in 10^9 and z 13.6 at 1 in 2^128, or a little more
@@ -33,7 +33,7 @@ format 3, it was measured with records of format 2, before copies shared a layer
 
 @dataclass(frozen=True)
 class Bar:
-    """What was asked for, what was measured, and whether that meets it."""
+    """What was required, what was measured, and whether that meets it."""
 
     bar: str
     measured: str

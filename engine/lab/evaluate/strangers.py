@@ -1,4 +1,4 @@
-"""Assets that nobody captured, for measuring an index: lumps wrapped in photographs that scikit-image ships.
+"""Synthetic assets, for measuring an index: lumps wrapped in photographs that scikit-image ships.
 
 Each lump also stands for relatives: what an index keeps of it with descriptors turned and mirrored in their grid, and
 with looks and places recoloured.
@@ -45,7 +45,7 @@ RELATIVES = 16
 
 
 def make_stranger(seed: int) -> GaussianModel:
-    """A lump with up to two smaller ones beside it; the same seed gives the same."""
+    """A lump with up to two smaller ones next to it; the same seed gives the same model."""
     rng = np.random.default_rng((77, seed))
     parts = [_lump(rng, GAUSSIANS)]
     for _ in range(int(rng.integers(0, 3))):

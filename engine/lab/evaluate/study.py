@@ -1,7 +1,7 @@
 """What an evaluation is made of: cells that measure, bars to reach, sections to read.
 
 A study is a list of cells. A cell names a function and plain arguments, so that it can run in any process, on any
-machine, and be looked up when a study goes on after a break. What cells return is plain rows; the report is made of
+machine, and be looked up when a study continues after a break. What cells return is plain rows; the report is made of
 all rows together and of nothing else (`engine.lab.evaluate.rows` picks, groups and tabulates them).
 """
 
@@ -34,7 +34,7 @@ class Options:
     repeats: int = 3  # timed runs; the median is reported
     trials: int | None = None  # None: the suite's own number
     size: tuple[int, int] = (1297, 840)  # pixels of an image, width and height
-    spare: str = ""  # a model beside the only one given, for suites that need two
+    spare: str = ""  # a second model where only one is given, for suites that need two
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Report:
     sections: Sequence[Section]
     answer: Sequence[str] = ()  # paragraphs before everything else: what a reader came for
     summary: dict[str, Any] = field(default_factory=dict)  # further results as JSON values
-    pages: dict[str, str] = field(default_factory=dict)  # further files beside the report, by name
+    pages: dict[str, str] = field(default_factory=dict)  # further files next to the report, by name
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The suites of `mark3dgs evaluate`, by name; a module is imported when its study is asked for."""
+"""The suites of `mark3dgs evaluate`, by name; a module is imported when its study is used."""
 
 import importlib
 

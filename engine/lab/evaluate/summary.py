@@ -10,7 +10,7 @@ from engine.lab.evaluate.study import Row, Table
 INTERVALS = (
     "Shares of bits carry exact 95 % intervals over all bits read (Clopper and Pearson). The bits of one reading "
     "are not independent, so that interval is too narrow; the exact one of the readings without a single wrong "
-    "bit stands beside it and assumes only that readings are independent."
+    "bit follows it and assumes only that readings are independent."
 )
 BUSY = 1.5
 """Programs a core (`engine.lab.evaluate.machine.load_per_core`) from which on times are called too long."""
@@ -113,7 +113,7 @@ def range_text(values: Sequence[float], digits: int = 0) -> str:
 
 
 def busy_words(rows: Sequence[Row]) -> list[str]:
-    """A paragraph where rows with a `busy` were measured beside other work; none otherwise."""
+    """A paragraph where rows with a `busy` were measured during other work; none otherwise."""
     most = max((row.get("busy") or 0.0 for row in rows), default=0.0)
     if most <= BUSY:
         return []

@@ -21,7 +21,7 @@ Strength = float | str
 """A number, but for attacks whose strength is a name: a format, a rule, a viewer's mistake."""
 
 Label = Literal["literal", "as_code"]
-"""`literal`: what the words of the papers say. `as_code`: what public code executes under those words."""
+"""`literal`: as the papers word it. `as_code`: as public code runs it."""
 
 ANY = "(-inf, inf)"
 

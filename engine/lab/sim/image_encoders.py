@@ -194,7 +194,7 @@ def _film(image: Float32, encoder: str) -> Float32:
     height, width = image.shape[:2]
     rows, columns = _padded(frames[0]).shape[:2]
     raw = b"".join(_padded(frame).tobytes() for frame in frames)
-    with tempfile.TemporaryDirectory() as folder:  # MP4 wants a file it can seek in
+    with tempfile.TemporaryDirectory() as folder:  # MP4 needs a seekable file
         film = str(Path(folder) / "film.mp4")
         # One group of pictures: only the film's first frame stands by itself. The matrix of the bytes is named in the
         # file: players do not have to guess it from the size.

@@ -166,7 +166,7 @@ def merge_voxels(model: GaussianModel, share: float) -> GaussianModel:
     """The level of a voxel tree (Spark's) that has this share left, in (0, 1]: what is finer than a voxel becomes one.
 
     Voxels grow by half a level, from the finest Gaussians on. In the last level only as many voxels are merged as the
-    share asks for, those of the fewest Gaussians first.
+    share requires, those of the fewest Gaussians first.
     """
     target = max(1, round(share * len(model)))
     size = float(np.quantile(2.0 * np.exp(model.log_scales.max(axis=1)), 0.05))

@@ -1,4 +1,4 @@
-// The API's own description, drawn by Swagger UI; nothing is asked of any other host.
+// The API's own description, drawn by Swagger UI; no other host is contacted.
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 const paint = () => document.documentElement.classList.toggle("dark-mode", dark.matches);
 paint();

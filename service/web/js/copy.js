@@ -9,7 +9,7 @@ export function copyable(text, what, whole = false) {
   return h("span", { class: "copyable" }, h("code", { title: text }, shown), copyButton(() => text, what));
 }
 
-/** The button alone; `text` is asked for when it is pressed. */
+/** The button alone; `text` is called when it is pressed. */
 export function copyButton(text, what) {
   const word = h("span", {}, "Copy");
   const button = h("button", { type: "button", class: "copy" }, word, h("span", { class: "unseen" }, ` ${what}`));

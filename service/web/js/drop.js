@@ -2,7 +2,7 @@
 import { $ } from "./dom.js";
 import { bytes } from "./words.js";
 
-/** Wire a drop zone around a file input; `changed` is told the files. Returns a function that empties it. */
+/** Wire a drop zone around a file input; `changed` gets the files. Returns a function that empties it. */
 export function dropZone(zone, changed) {
   const input = $("input[type=file]", zone);
   const name = $(".drop-name", zone);

@@ -27,14 +27,14 @@ export function startEmbed() {
   };
 
   const run = async () => {
-    const asked = request();
+    const body = request();
     only(place, form, place, result);
     const running = new Progress(place, "Marking the model");
     progress = running;
     try {
       const [uploaded] = await running.upload([$("#mark-file").files[0]]);
-      const begin = (signal) => postOnce("/v1/embed", { ...asked, upload_id: uploaded.id }, signal);
-      const job = await running.run(begin, assetName(asked));
+      const begin = (signal) => postOnce("/v1/embed", { ...body, upload_id: uploaded.id }, signal);
+      const job = await running.run(begin, assetName(body));
       if (running !== progress) return;
       if (job.state !== "succeeded") throw refusal(job);
       view = assetView(await getJson(`/v1/assets/${job.result.asset_id}`), {

@@ -11,7 +11,7 @@ const OPEN = ["running", "queued"];
 const BUSY = 1500; // milliseconds between two looks while something is open
 const IDLE = 8000;
 
-const named = (job) => jobName(job.id) || job.name; // this tab knows more of what was asked for in it
+const named = (job) => jobName(job.id) || job.name; // this tab knows more of the jobs it started
 
 /** Wire the view; `enter` shows it and keeps it up to date until `leave`. */
 export function startJobs() {
@@ -31,7 +31,7 @@ export function startJobs() {
   };
   const older = pager({
     path: "/v1/jobs",
-    asked: () => ({ state: [...ENDED] }),
+    params: () => ({ state: [...ENDED] }),
     clear: () => {
       done.clear();
       fill(ended);
@@ -92,7 +92,7 @@ export function startJobs() {
         faulty = false;
       } catch (error) {
         if (error.name === "AbortError" || error.status === 401) throw error;
-        if (!faulty) failed(error); // once; it goes on asking
+        if (!faulty) failed(error); // once; polling continues
         faulty = true;
       }
     }

@@ -1,4 +1,4 @@
-// One job as a line of a list: open, with its progress; or ended, with what came of it.
+// One job as a line of a list: open, with its progress; or ended, with its result.
 import { copyable } from "./copy.js";
 import { fill, h } from "./dom.js";
 import { Pace, leftWords, turnWords } from "./pace.js";

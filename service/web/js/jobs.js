@@ -43,7 +43,7 @@ async function* events(path, signal) {
         ({ done, value } = await reader.read());
       } catch (error) {
         if (error.name === "AbortError") throw error;
-        return; // the connection broke; the caller asks again
+        return; // the connection broke; the caller tries again
       }
       if (done) return;
       text += value.replaceAll("\r\n", "\n");

@@ -31,16 +31,16 @@ export function startLibrary() {
 const NONE = { assets: ["No marked models yet.", "#mark", "Mark a model"], claims: ["No checks yet.", "#check", "Check a suspect"] };
 
 /** One of the two lists; returns what fills it. */
-function entries(name, line, asked) {
+function entries(name, line, params) {
   const list = $(`#${name}`);
   const none = () => {
-    if (Object.values(asked()).some(Boolean)) return h("li", { class: "none" }, "No results.");
+    if (Object.values(params()).some(Boolean)) return h("li", { class: "none" }, "No results.");
     const [said, way, words] = NONE[name];
     return h("li", { class: "none" }, h("p", {}, said, " ", h("a", { href: way }, words)));
   };
   return pager({
     path: `/v1/${name}`,
-    asked,
+    params,
     clear: () => fill(list),
     add: (items) => {
       const made = items.map(line);

@@ -1,4 +1,4 @@
-// Time left of a job, told from the progress that was seen; nothing where that would be a guess.
+// Time left of a job, from the progress that was seen; nothing where that would be a guess.
 
 const WATCHED = 3; // seconds of one count before anything is said
 const PASSED = 0.05; // of the whole, in that time

@@ -16,10 +16,10 @@ export function packForm(claim, { headline }) {
     event.preventDefault();
     button.disabled = true;
     problem.replaceChildren();
-    const told = new URLSearchParams(copies.value.split(/\s+/).filter(Boolean).map((url) => ["copy_url", url]));
-    if (original.value.trim()) told.set("original_url", original.value.trim());
-    if (note.value.trim()) told.set("note", note.value.trim());
-    const path = `/v1/claims/${claim.claim_id}/pack?${told}`;
+    const query = new URLSearchParams(copies.value.split(/\s+/).filter(Boolean).map((url) => ["copy_url", url]));
+    if (original.value.trim()) query.set("original_url", original.value.trim());
+    if (note.value.trim()) query.set("note", note.value.trim());
+    const path = `/v1/claims/${claim.claim_id}/pack?${query}`;
     await download(path, `${claim.claim_id}-pack.zip`).catch((error) => problem.replaceChildren(problemBox(error)));
     button.disabled = false;
   };

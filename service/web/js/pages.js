@@ -3,9 +3,9 @@ import { getJson } from "./api.js";
 
 const FEW = () => (window.matchMedia("(max-width: 40rem)").matches ? 8 : 20); // on a phone, one list stands over the other
 
-/** Path of a list's page: `asked` holds parameters, several values as an array; empty ones are left out. */
-export function listPath(path, asked) {
-  const pairs = Object.entries(asked).flatMap(([name, value]) => [value].flat().filter(Boolean).map((one) => [name, one]));
+/** Path of a list's page: `params` may hold several values as an array; empty ones are left out. */
+export function listPath(path, params) {
+  const pairs = Object.entries(params).flatMap(([name, value]) => [value].flat().filter(Boolean).map((one) => [name, one]));
   return `${path}?${new URLSearchParams(pairs)}`;
 }
 
@@ -21,19 +21,19 @@ export async function getAll(path) {
 }
 
 /**
- * A list on the page that shows what is asked for, with a button for what is older.
+ * A list on the page that shows what was searched for, with a button for what is older.
  *
- * `asked()` gives the parameters, `add(items, next)` puts a page's entries in and returns them, `clear()` takes all out.
- * Answers to earlier questions that come late are dropped. Returns what asks anew.
+ * `params()` gives the parameters, `add(items, next)` puts a page's entries in and returns them, `clear()` takes all out.
+ * Late answers to earlier requests are dropped. Returns what loads anew.
  */
-export function pager({ path, asked, add, clear, more, failed, limit = FEW() }) {
+export function pager({ path, params, add, clear, more, failed, limit = FEW() }) {
   let question = 0;
   let busy = false;
   const load = async (after) => {
     const mine = after ? question : (question += 1);
     busy = true;
     try {
-      const { items, next } = await getJson(listPath(path, { ...asked(), limit, after }));
+      const { items, next } = await getJson(listPath(path, { ...params(), limit, after }));
       if (mine !== question) return;
       if (!after) clear();
       const [first] = add(items, next) ?? [];

@@ -1,4 +1,4 @@
-// The API key, and what jobs were called when they were asked for: kept in this tab only, gone when the tab closes.
+// The API key, and the names of the jobs that this tab started: kept in this tab only, gone when the tab closes.
 
 const NAME = "mark3dgs.api-key";
 const JOBS = "mark3dgs.jobs";
@@ -25,5 +25,5 @@ export function nameJob(id, name) {
   sessionStorage.setItem(JOBS, JSON.stringify([...jobs(), [id, name]].slice(-MOST_JOBS)));
 }
 
-/** What a job is about; empty where another tab or program asked for it. */
+/** What a job is about; empty where another tab or program started it. */
 export const jobName = (id) => new Map(jobs()).get(id) ?? "";

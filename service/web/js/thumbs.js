@@ -20,7 +20,7 @@ export function thumbnail(assetId) {
 async function draw(box) {
   try {
     const url = URL.createObjectURL(await getBlob(`/v1/assets/${encodeURIComponent(box.dataset.asset)}/preview.png`));
-    const image = h("img", { src: url, alt: "" }); // the name stands beside it
+    const image = h("img", { src: url, alt: "" }); // the name stands next to it
     image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
     box.replaceChildren(image);
   } catch {

@@ -1,4 +1,4 @@
-// Upload in pieces; after a broken connection it asks how far it came and goes on from there.
+// Upload in pieces; after a broken connection it asks for the offset and continues there.
 import { LOST, Problem, authorization, getJson, pause, postJson, problemOf } from "./api.js";
 import { sha256 } from "./sha256.js";
 
@@ -38,7 +38,7 @@ export async function upload(file, tell, signal) {
   return slot;
 }
 
-/** Whether trying again can help: no connection, a gateway's answer, bytes that arrived although nobody said so. */
+/** Whether trying again can help: no connection, a gateway's answer, bytes that arrived without a confirmation. */
 const passing = (error) => error.title === LOST || [408, 409].includes(error.status) || error.status >= 502;
 
 async function standing(path, last, signal) {

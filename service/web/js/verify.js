@@ -27,13 +27,13 @@ export function startVerify() {
   };
 
   const run = async (files, pictures) => {
-    const asked = { asset_id: $("#check-asset").value || null, false_claim_rate: Number($("#check-rate").value) };
+    const chosen = { asset_id: $("#check-asset").value || null, false_claim_rate: Number($("#check-rate").value) };
     only(place, form, place, result);
     const running = new Progress(place, "Checking the suspect");
     progress = running;
     try {
       const ids = (await running.upload(files)).map((uploaded) => uploaded.id);
-      const body = { ...asked, ...(pictures ? { image_upload_ids: ids } : { upload_id: ids[0] }) };
+      const body = { ...chosen, ...(pictures ? { image_upload_ids: ids } : { upload_id: ids[0] }) };
       const names = files.length > 1 ? `${files[0].name} and ${files.length - 1} more` : files[0].name;
       const job = await running.run((signal) => postOnce("/v1/verify", body, signal), names);
       if (running !== progress) return;
@@ -81,12 +81,12 @@ export function startVerify() {
 
 const ALL = () => h("option", { value: "" }, "All my marked models");
 
-/** The models to choose from, the newest hundred and more as asked; returns what lists them. What was chosen stays. */
+/** The models to choose from, the newest hundred and more on request; returns what lists them. What was chosen stays. */
 function assetChoice(failed) {
   const [select, search] = [$("#check-asset"), $("#check-search")];
   const list = pager({
     path: "/v1/assets",
-    asked: () => ({ q: search.value.trim() }),
+    params: () => ({ q: search.value.trim() }),
     clear: () => {
       const [chosen] = [...select.selectedOptions].filter((option) => option.value);
       fill(select, ALL(), chosen);

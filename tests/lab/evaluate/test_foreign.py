@@ -35,8 +35,8 @@ def test_every_kind_is_shown_as_often_from_what_does_not_carry_the_mark(
     def verify(pictures: list[str], record: str, config: Any) -> SimpleNamespace:
         seen.append((pictures[0], record))
         claim = SimpleNamespace(derivation=SimpleNamespace(derived="a.splat" in pictures[0]), verdict=SimpleNamespace())
-        told = {"bit_accuracy": 0.5, "z": 0.0, "log10_false_claim": 0.0, "derived_fraction": None}
-        vars(claim).update(told)
+        figures = {"bit_accuracy": 0.5, "z": 0.0, "log10_false_claim": 0.0, "derived_fraction": None}
+        vars(claim).update(figures)
         claim.verdict.value = "inconclusive"
         return SimpleNamespace(claim=claim, seconds=1.0)
 
@@ -94,9 +94,9 @@ def test_the_worst_view_nobody_asked_for_is_told(plant: GaussianModel) -> None:
     """Of a model that is changed on one side, views of that side."""
     dc = plant.sh[:, 0] + np.float32(0.1) * (plant.means[:, :1] > np.median(plant.means[:, 0]))
     made: Any = SimpleNamespace(marked=plant.with_dc(dc), opened=SimpleNamespace(reference=plant))
-    told = marking._unseen(made, 5)
+    figures = marking._unseen(made, 5)
     views = other_views(plant, marking.UNSEEN, marking.UNSEEN_SIDE, (5, 0x5EE))
     pairs = [(render(plant, view), render(made.marked, view)) for view in views]
     each = [psnr(*pair) for pair in pairs]
-    assert told["psnr_worst_unseen"] == min(each) < np.median(each) - 0.2
-    assert told["ssim_worst_unseen"] == min(ssim(*pair) for pair in pairs)
+    assert figures["psnr_worst_unseen"] == min(each) < np.median(each) - 0.2
+    assert figures["ssim_worst_unseen"] == min(ssim(*pair) for pair in pairs)

@@ -27,13 +27,13 @@ def _way(gaussians: int) -> _Way:
     return _Way(model, far, rng.permutation(len(model)), np.full((len(model), 9), 0.01, np.float32))
 
 
-def _plane(way: _Way, asked: list[int]) -> Any:
+def _plane(way: _Way, calls: list[int]) -> Any:
     """A detector that says yes before a plane across colours, and counts."""
     normal = np.random.default_rng(2).normal(size=(len(way.marked), 3))
     back = np.argsort(way.order)
 
     def ask(suspect: GaussianModel) -> Any:
-        asked.append(1)
+        calls.append(1)
         gone = float((normal * (suspect.take(back).means - way.marked.means)).sum())
         return SimpleNamespace(claim=SimpleNamespace(verdict=Verdict.MARKED if gone < 0.5 else Verdict.INCONCLUSIVE))
 
@@ -45,21 +45,21 @@ def _length(place: Float32) -> float:
 
 
 def test_few_dimensions_are_walked_and_the_budget_is_kept() -> None:
-    way, asked = _way(6), list[int]()
-    teller = _Oracle(_plane(way, asked), way, 600)
+    way, calls = _way(6), list[int]()
+    detector = _Oracle(_plane(way, calls), way, 600)
     start = way.start()
-    if teller.claims(start):
+    if detector.claims(start):
         start = -start
-    place = teller.edge(start)
+    place = detector.edge(start)
     first, rng, step = _length(place), np.random.default_rng(3), 0
-    while not teller.spent:
+    while not detector.spent:
         step += 1
-        place = _hop(teller, place, step, rng)
+        place = _hop(detector, place, step, rng)
         assert cast(Any, _plane(way, [])(way.model(place))).claim.verdict is Verdict.INCONCLUSIVE
-    assert len(asked) == teller.asked == 600
+    assert len(calls) == detector.count == 600
     assert _length(place) < 0.5 * first
-    assert teller.claims(start)
-    assert len(asked) == 600
+    assert detector.claims(start)
+    assert len(calls) == 600
 
 
 def test_the_far_model_lies_at_the_start_of_the_walk() -> None:

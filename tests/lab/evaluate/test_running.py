@@ -20,10 +20,10 @@ def cells(values: list[float], log: Path | None = None) -> list[Cell]:
 
 
 def test_rows_in_the_order_of_the_cells(tmp_path: Path) -> None:
-    told: list[tuple[str, float]] = []
-    rows = run_cells(cells([3.0, 1.0, 2.0]), tmp_path, tell=lambda name, done: told.append((name, done)))
+    reports: list[tuple[str, float]] = []
+    rows = run_cells(cells([3.0, 1.0, 2.0]), tmp_path, tell=lambda name, done: reports.append((name, done)))
     assert [(row["cell"], row["square"]) for row in rows] == [("v0", 9.0), ("v1", 1.0), ("v2", 4.0)]
-    assert told[-1] == ("v2", 1.0)
+    assert reports[-1] == ("v2", 1.0)
     stored = json.loads((tmp_path / "v0.json").read_text())
     assert stored["arguments"] == {"value": 3.0}
     assert stored["seconds"] >= 0

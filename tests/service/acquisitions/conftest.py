@@ -30,7 +30,7 @@ def answer(body: bytes, status: int = 200, **headers: str) -> Behaviour:
 
 
 class Site:
-    """A server; `got` are the paths that it was asked for."""
+    """A server; `got` are the paths of its requests."""
 
     def __init__(self, behave: Behaviour, context: ssl.SSLContext | None = None) -> None:
         self.got: list[str] = []
@@ -43,7 +43,7 @@ class Site:
                 site.got.append(self.path)
                 try:
                     behave(self)
-                except OSError:  # who asked has left
+                except OSError:  # the client has left
                     self.close_connection = True
 
             def log_message(self, *_: Any) -> None:

@@ -66,12 +66,12 @@ def test_what_is_fetched_is_kept_and_can_be_verified(api: Api, sites: Sites, tmp
     assert entry.payload == {"digest": digest(facts(made))}
     upload = api.client.get(f"/v1/uploads/{made['upload_id']}").json()
     assert (upload["name"], upload["info"]["kind"]) == ("stolen.ply", "model")
-    asked = {"upload_id": made["upload_id"], "acquisition_id": made["id"], "suspect_seen": made["at"][:10]}
-    assert api.client.post("/v1/verify", json=asked).status_code == 202
-    later = api.client.post("/v1/verify", json=asked | {"suspect_seen": "2999-01-01"})
+    wanted = {"upload_id": made["upload_id"], "acquisition_id": made["id"], "suspect_seen": made["at"][:10]}
+    assert api.client.post("/v1/verify", json=wanted).status_code == 202
+    later = api.client.post("/v1/verify", json=wanted | {"suspect_seen": "2999-01-01"})
     assert (later.status_code, "suspect_seen" in later.json()["detail"]) == (422, True)
     other = api.upload(MODEL[:-4] + bytes(4))
-    assert api.client.post("/v1/verify", json=asked | {"upload_id": other}).status_code == 409
+    assert api.client.post("/v1/verify", json=wanted | {"upload_id": other}).status_code == 409
 
 
 def test_a_page_is_kept_though_it_is_no_suspect(api: Api, sites: Sites) -> None:  # noqa: F811

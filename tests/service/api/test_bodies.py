@@ -38,12 +38,12 @@ def ask(
 ) -> tuple[int, dict[str, str], Any, float]:
     """Send a request whose body's pieces, by number, `body` gives; status, headers, answer and seconds."""
     got: list[Message] = []
-    asked = -1
+    count = -1
 
     async def receive() -> Message:
-        nonlocal asked
-        asked += 1
-        return await body(asked)
+        nonlocal count
+        count += 1
+        return await body(count)
 
     async def send(message: Message) -> None:
         got.append(message)
@@ -95,7 +95,7 @@ def test_a_body_that_drips_is_given_up(api: Api, method: str, path: str, kind: s
 
 
 def test_a_slow_line_is_taken(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that brings what is asked for, for longer than the grace."""
+    """One that sends what is needed, for longer than the grace."""
     monkeypatch.setattr(middleware, "SLOWEST", 100)
     slot = api.client.post("/v1/uploads", json={"size": 100}).json()["id"]
 

@@ -92,8 +92,8 @@ def test_a_sog_comes_signed_and_its_mark_leads_back(signing: Service, tmp_path: 
     assert (fetched.status_code, fetched.headers["content-type"]) == (200, "application/c2pa")
     assert fetched.content == store
     assert answer.headers["link"] == f'</v1/manifests/{name}>; rel="c2pa-manifest"'
-    told = parse(path, model_type("sog"), store)
-    assert (told["state"], told["signer"], told["bindings"]) == ("Valid", "Acme", [[ALG, VALUE]])
+    output = parse(path, model_type("sog"), store)
+    assert (output["state"], output["signer"], output["bindings"]) == ("Valid", "Acme", [[ALG, VALUE]])
     again = client.get("/v1/assets/as_1/model", headers={"If-None-Match": answer.headers["etag"]})
     assert again.status_code == 304, "signed once"
     assert found(signing) == [name]
@@ -118,10 +118,10 @@ def test_a_glb_stays_as_it_is_and_its_manifest_lies_beside(signing: Service, tmp
 
 def test_what_is_never_signed(signing: Service) -> None:
     client = owner(signing).client
-    for asked in ({"format": "splat"}, {"version": "original"}, {"version": "original", "format": "glb"}):
-        answer = client.get("/v1/assets/as_1/model", params=asked)
+    for query in ({"format": "splat"}, {"version": "original"}, {"version": "original", "format": "glb"}):
+        answer = client.get("/v1/assets/as_1/model", params=query)
         assert answer.status_code == 200, answer.text
-        assert "link" not in answer.headers, asked
+        assert "link" not in answer.headers, query
     assert found(signing) == []
 
 

@@ -1,4 +1,4 @@
-"""Who may have two assets held against each other, and what nobody else learns."""
+"""Who may have two assets compared, and what no other party learns."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def test_an_administrator_of_a_tenant_is_none_of_the_service(service: Service) -
     assert ask(_api(service, "first of two", ["admin"]), one, two)["status"] == 409
     assert ask(_api(service, "third", ["admin"]), one, two)["status"] == 404
     operator = _api(service, "whoever runs it", [OPERATOR])
-    asked = ask(operator, one, two)
-    assert asked["status"] == 202
-    assert operator.client.get(f"/v1/jobs/{asked['id']}").status_code == 200
+    started = ask(operator, one, two)
+    assert started["status"] == 202
+    assert operator.client.get(f"/v1/jobs/{started['id']}").status_code == 200
     assert ask(operator, one, "as_" + "0" * 24)["status"] == 404
 
 

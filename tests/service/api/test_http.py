@@ -98,7 +98,7 @@ def test_conditions(model: tuple[Api, str, bytes]) -> None:
 
 
 def test_garbage_is_judged_the_same_under_load(api: Api) -> None:
-    """Thirty at once, each in its turn: none is taken because nobody had time to look."""
+    """Thirty at once, each in its turn: none is taken without inspection."""
 
     def send(_: int) -> int:
         slot = api.client.post("/v1/uploads", json={}).json()["id"]

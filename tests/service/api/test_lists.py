@@ -115,14 +115,14 @@ def test_the_names_of_a_suspect_go_with_its_job(api: Api) -> None:
 
 def test_a_job_says_what_it_is_about(api: Api) -> None:
     uploaded = {"upload_id": api.upload(SMALL.read_bytes(), "vase.ply")}
-    asked = [
+    started = [
         api.client.post("/v1/embed", json={**uploaded, "label": "Blue vase"}).json(),
         api.client.post("/v1/embed", json=uploaded).json(),
         api.client.post("/v1/verify", json=uploaded).json(),
     ]
-    assert [job["name"] for job in asked] == ["Blue vase", "vase.ply", "vase.ply"]
-    assert api.client.get(f"/v1/jobs/{asked[0]['id']}").json()["name"] == "Blue vase"
-    for job in asked:
+    assert [job["name"] for job in started] == ["Blue vase", "vase.ply", "vase.ply"]
+    assert api.client.get(f"/v1/jobs/{started[0]['id']}").json()["name"] == "Blue vase"
+    for job in started:
         api.client.delete(f"/v1/jobs/{job['id']}")
 
 

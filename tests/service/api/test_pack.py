@@ -55,8 +55,8 @@ def address(service: Service, api: Api) -> str:
 
 
 def test_a_pack_of_a_claim(api: Api, address: str) -> None:
-    asked = {"copy_url": ["https://a.example/1", "https://a.example/2"], "note": "Mine & mine"}
-    first, again = (api.client.get(address, params=asked) for _ in range(2))
+    query = {"copy_url": ["https://a.example/1", "https://a.example/2"], "note": "Mine & mine"}
+    first, again = (api.client.get(address, params=query) for _ in range(2))
     assert first.status_code == 200, first.text
     assert (first.headers["content-type"], first.headers["cache-control"]) == ("application/zip", "no-store")
     assert first.headers["content-disposition"].endswith('-pack.zip"')
@@ -69,9 +69,9 @@ def test_a_pack_of_a_claim(api: Api, address: str) -> None:
 
 
 def test_what_is_no_address_is_a_422(api: Api, address: str) -> None:
-    for asked in ({"copy_url": "javascript:alert(1)"}, {"note": "x" * 1001}, {"copyurl": "https://a.example"}):
-        answer = api.client.get(address, params=asked)
-        assert answer.status_code == 422, asked
+    for query in ({"copy_url": "javascript:alert(1)"}, {"note": "x" * 1001}, {"copyurl": "https://a.example"}):
+        answer = api.client.get(address, params=query)
+        assert answer.status_code == 422, query
         assert answer.json()["type"] == "urn:mark3dgs:problem:invalid-request"
 
 

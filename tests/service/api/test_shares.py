@@ -1,4 +1,4 @@
-"""Shared reports: seen by whoever has the address, until it expires or is revoked; of the address nothing is kept."""
+"""Shared reports: shown to all with the address, until it expires or is revoked; of the address nothing is kept."""
 
 from __future__ import annotations
 

@@ -73,8 +73,8 @@ def test_the_log_has_the_host_and_not_the_address(service: Service, api: Api) ->
     api.client.delete(f"/v1/webhooks/{made['id']}")
     with service.db.read() as connection:
         rows = connection.execute(sa.select(audit).where(audit.c.subject == made["id"]).order_by(audit.c.index)).all()
-    told = [(row.event, json.loads(row.payload)) for row in rows]
-    assert told == [("webhook.made", {"host": "studio.example"}), ("webhook.deleted", {})]
+    output = [(row.event, json.loads(row.payload)) for row in rows]
+    assert output == [("webhook.made", {"host": "studio.example"}), ("webhook.deleted", {})]
 
 
 def test_so_many_of_a_tenant(api: Api, stranger: Api, set_up: Callable[..., None]) -> None:

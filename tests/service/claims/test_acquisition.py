@@ -74,7 +74,7 @@ def test_without_a_stamp_it_is_the_services_word(registry: Registry) -> None:
     assert [each["ok"] for each in claim.document["checks"] if each["code"] == "acquisition"] == [None]
     found = checked(claim.jws, registry)
     assert found.status is Status.NOT_CHECKED
-    assert "word of the service" in found.text
+    assert "only the service states" in found.text
 
 
 def test_with_a_stamp_a_third_party_says_when(registry: Registry, authority: Authority, tmp_path: Path) -> None:

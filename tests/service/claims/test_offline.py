@@ -183,7 +183,7 @@ def edit(*path: str | int, to: Any) -> Callable[[Document], None]:
 
 
 def relog(document: Document) -> None:
-    """Make the entry fit the document again, as somebody with the signing key might."""
+    """Make the entry fit the document again, as a holder of the signing key might."""
     entry = document["audit"]["entry"]
     entry["payload"]["digest"] = claim_digest(document)
     document["audit"]["proof"] = []
@@ -390,8 +390,8 @@ def test_the_command_answers_with_its_exit_code(
     # Not at the very end: the highest byte of an Ed25519 signature is zero in one of sixteen.
     claim.write_bytes(jws[:-40] + (b"B" if jws[-40:-39] == b"A" else b"A") + jws[-39:])
     assert command.verify_report(claim, keys, json=True) == 3
-    told = json.loads(capsys.readouterr().out)
-    assert (told["valid"], told["document"], told["checks"][0]["code"]) == (False, None, "signature")
+    output = json.loads(capsys.readouterr().out)
+    assert (output["valid"], output["document"], output["checks"][0]["code"]) == (False, None, "signature")
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"keys": []}', '{"keys": [5]}', '{"keys": 5}', "[]", "[" * 100_000])

@@ -19,15 +19,15 @@ from service.problems import Problem
 from tests.service.claims.cases import PICTURES, nothing, picture, reply
 from tests.service.claims.conftest import Registry
 
-TOLD = OwnerStatement(
+OWN = OwnerStatement(
     copy_url=["https://elsewhere.example/m/1", "https://elsewhere.example/m/2"], note="Taken from my shop."
 )
 
 
-def pack(registry: Registry, found: dict[str, Any] | None = None, told: OwnerStatement = TOLD, **changes: Any) -> bytes:
+def pack(registry: Registry, found: dict[str, Any] | None = None, own: OwnerStatement = OWN, **changes: Any) -> bytes:
     claim = registry.issue(found, **{"job": changes.pop("job", "job_1")})
     given = {"pictures": PICTURES, "timestamp": None} | changes
-    return make_pack(claim.document, claim.jws, given["pictures"], given["timestamp"], told)
+    return make_pack(claim.document, claim.jws, given["pictures"], given["timestamp"], own)
 
 
 def opened(data: bytes) -> dict[str, bytes]:
@@ -44,7 +44,7 @@ def test_the_same_claim_and_words_give_the_same_bytes(registry: Registry, monkey
     first = pack(registry)
     monkeypatch.setattr("time.time", lambda: 2e9)
     assert pack(registry) == first
-    assert pack(registry, told=OwnerStatement()) != first
+    assert pack(registry, own=OwnerStatement()) != first
 
 
 def test_a_tenant_that_nobody_named_is_a_blank(registry: Registry) -> None:
@@ -106,7 +106,7 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
 
 
 def test_blanks_stay_where_the_owner_said_nothing(registry: Registry) -> None:
-    finding, notice = texts(pack(registry, told=OwnerStatement()))
+    finding, notice = texts(pack(registry, own=OwnerStatement()))
     assert "Found at: [links to the copy]" in notice
     assert "[link to the original, or: it is not published]" in notice
     assert "Statement of the owner" not in notice
@@ -116,7 +116,7 @@ def test_blanks_stay_where_the_owner_said_nothing(registry: Registry) -> None:
 def test_the_issuer_is_where_the_keys_are(registry: Registry) -> None:
     claim = registry.issue()
     document = {**claim.document, "issuer": {"name": "Marks Ltd", "address": "https://marks.example/"}}
-    for text in texts(make_pack(document, claim.jws, PICTURES, None, TOLD)):
+    for text in texts(make_pack(document, claim.jws, PICTURES, None, OWN)):
         assert "https://marks.example/.well-known/jwks.json" in text
         assert "Marks Ltd" in text
 
@@ -195,9 +195,9 @@ LAWS = {
 }
 
 
-def statement(registry: Registry, **told: Any) -> tuple[str, list[str]]:
+def statement(registry: Registry, **own: Any) -> tuple[str, list[str]]:
     """The statement, and the parts of it that it says are blank."""
-    text = opened(pack(registry, told=OwnerStatement.model_validate(told)))["statement.txt"].decode()
+    text = opened(pack(registry, own=OwnerStatement.model_validate(own)))["statement.txt"].decode()
     body, _, blank = text.partition("\n--\n")
     return body, re.findall(r"^  (\S.*\)): \[", blank, re.MULTILINE)
 

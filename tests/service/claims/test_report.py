@@ -37,7 +37,7 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
     assert "<h1>Watermark found</h1>" in marked
     assert "32/32" in marked
     assert "<h1>Your unmarked original</h1>" in not_marked
-    assert "It acquits nobody" in not_marked
+    assert "It does not acquit" in not_marked
     assert "chance gives about 16" in not_marked
     assert "<h1>Inconclusive</h1>" in undecided
     assert "derived from your asset" in undecided
@@ -84,15 +84,15 @@ def test_the_page_fits_a_phone_and_asks_for_nothing(registry: Registry, tmp_path
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         tab = browser.new_page(viewport={"width": 360, "height": 700})
-        said, asked = [], []
+        said, calls = [], []
         tab.on("console", lambda message: said.append(message.text))
-        tab.on("request", lambda request: asked.append(request.url[:5]))
+        tab.on("request", lambda request: calls.append(request.url[:5]))
         tab.goto((tmp_path / "report.html").as_uri())
         width = tab.evaluate("document.documentElement.scrollWidth")
         loaded = tab.evaluate("[...document.images].every((image) => image.naturalWidth === 8)")
         browser.close()
     assert (width, loaded, said) == (360, True, [])
-    assert set(asked) <= {"file:", "data:"}
+    assert set(calls) <= {"file:", "data:"}
 
 
 def test_the_map_of_regions_is_explained_and_that_of_before_as_it_was(registry: Registry) -> None:

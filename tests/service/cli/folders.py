@@ -26,7 +26,7 @@ def put(folder: Path, name: str, content: bytes) -> Path:
 
 
 def interrupting(real: Callable[..., Any], at: int) -> Callable[..., Any]:
-    """A function during whose call of this number somebody presses Ctrl-C."""
+    """A function that gets Ctrl-C during its call of this number."""
     calls: list[None] = []
 
     def call(*arguments: Any) -> Any:

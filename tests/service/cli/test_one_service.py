@@ -34,11 +34,11 @@ def test_a_second_serve_is_refused_until_the_first_is_gone(tmp_path: Path, mark3
     try:
         ready = f"{again.address}/readyz"
         for _ in range(200):  # its worker waits for the one that the first left
-            asked = subprocess.run([sys.executable, "-c", _ASK, ready], capture_output=True, text=True, check=False)
-            if asked.stdout.strip() == "200":
+            probe = subprocess.run([sys.executable, "-c", _ASK, ready], capture_output=True, text=True, check=False)
+            if probe.stdout.strip() == "200":
                 break
             time.sleep(0.1)
-        assert asked.stdout.strip() == "200", again.log()
+        assert probe.stdout.strip() == "200", again.log()
         assert "ended with status" not in again.log(), "its worker starts once"
     finally:
         again.stop()

@@ -1,4 +1,4 @@
-"""Commands for whoever runs the service: none but `serve` and `init` makes one, and what is wrong is told plainly."""
+"""Commands for the operator: none but `serve` and `init` makes a service, and errors are plain."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_person_is_shown_the_key(
 
 
 def test_the_folder_is_nobody_elses(mark3dgs: Mark3dgs, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A folder that others could read is closed to them, and it is said; new files are nobody else's, too."""
+    """A folder that others could read is closed to them, and it is said; new files are private, too."""
     data = tmp_path / "data"
     data.mkdir(mode=0o755)
     data.chmod(0o755)

@@ -22,12 +22,12 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clients, "_CHUNK", 1000)
 
 
-def service(*, comes: int, etag: str = ETAG, asked: list[httpx.Request] | None = None) -> Handler:
-    """Sends WHOLE, or the part that is asked for; each connection breaks after `comes` bytes."""
+def service(*, comes: int, etag: str = ETAG, calls: list[httpx.Request] | None = None) -> Handler:
+    """Sends WHOLE, or the part that is requested; each connection breaks after `comes` bytes."""
 
     def answer(request: httpx.Request) -> httpx.Response:
-        if asked is not None:
-            asked.append(request)
+        if calls is not None:
+            calls.append(request)
         start = int(request.headers.get("range", "bytes=0-")[6:-1])
         rest = WHOLE[start:]
         headers = {"ETag": etag, "Content-Length": str(len(rest))}
@@ -38,27 +38,27 @@ def service(*, comes: int, etag: str = ETAG, asked: list[httpx.Request] | None =
 
 
 def test_a_download_is_continued_where_it_broke(driver: str, tmp_path: Path) -> None:
-    target, asked, seen = tmp_path / "m.ply", list[httpx.Request](), list[float]()
+    target, calls, seen = tmp_path / "m.ply", list[httpx.Request](), list[float]()
     target.write_bytes(b"older")
-    handler = service(comes=4000, asked=asked)
+    handler = service(comes=4000, calls=calls)
     got = do(driver, handler, "download", "as_1", target, format="ply", progress=lambda _, share: seen.append(share))
     assert got == target
     assert target.read_bytes() == WHOLE
     assert [path.name for path in tmp_path.iterdir()] == ["m.ply"]
-    assert [request.headers.get("range") for request in asked] == [None, "bytes=4000-", "bytes=8000-"]
-    assert {request.headers.get("if-range") for request in asked[1:]} == {ETAG}
-    assert {request.headers["accept-encoding"] for request in asked} == {"identity"}
-    assert dict(asked[0].url.params) == {"version": "marked", "format": "ply"}
+    assert [request.headers.get("range") for request in calls] == [None, "bytes=4000-", "bytes=8000-"]
+    assert {request.headers.get("if-range") for request in calls[1:]} == {ETAG}
+    assert {request.headers["accept-encoding"] for request in calls} == {"identity"}
+    assert dict(calls[0].url.params) == {"version": "marked", "format": "ply"}
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
 
 
 def test_a_file_that_changed_meanwhile_is_begun_anew(driver: str, tmp_path: Path) -> None:
-    asked = []
+    calls = []
 
     def changed(request: httpx.Request) -> httpx.Response:
-        asked.append(request)
-        if len(asked) == 1:
+        calls.append(request)
+        if len(calls) == 1:
             return httpx.Response(200, headers={"ETag": '"old"'}, stream=Breaking(b"old" * 500))
         return httpx.Response(200, headers={"ETag": ETAG}, content=WHOLE)
 
@@ -75,15 +75,15 @@ def test_other_bytes_than_announced_are_not_kept(driver: str, tmp_path: Path) ->
 
 
 def test_a_line_that_gives_nothing_is_given_up(driver: str, tmp_path: Path) -> None:
-    asked: list[httpx.Request] = []
+    calls: list[httpx.Request] = []
 
     def dead(request: httpx.Request) -> httpx.Response:
-        asked.append(request)
-        return service(comes=1000 if len(asked) == 1 else 0)(request)
+        calls.append(request)
+        return service(comes=1000 if len(calls) == 1 else 0)(request)
 
     with pytest.raises(ServiceError, match="unreachable"):
         do(driver, dead, "download", "as_1", tmp_path / "m")
-    assert len(asked) == downloads.BREAKS + 1
+    assert len(calls) == downloads.BREAKS + 1
     assert list(tmp_path.iterdir()) == []
 
 

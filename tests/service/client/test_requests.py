@@ -34,11 +34,11 @@ class Played:
     """A service that gives these answers, one after another, the last for ever; an exception is no answer."""
 
     def __init__(self, *answers: httpx.Response | Exception) -> None:
-        self.answers, self.asked = list(answers), list[httpx.Request]()
+        self.answers, self.calls = list(answers), list[httpx.Request]()
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
-        self.asked.append(request)
-        answer = self.answers[min(len(self.asked), len(self.answers)) - 1]
+        self.calls.append(request)
+        answer = self.answers[min(len(self.calls), len(self.answers)) - 1]
         if isinstance(answer, Exception):
             raise answer
         return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
@@ -54,7 +54,7 @@ def refused(status: int, retry_after: str = "") -> httpx.Response:
 def test_what_is_refused_for_now_is_sent_again(driver: str, pauses: list[float]) -> None:
     played = Played(refused(503, "3"), refused(429), refused(429), httpx.Response(200, json={"keys": []}))
     assert do(driver, played, "call", "GET", "/v1/keys") == {"keys": []}
-    assert [request.headers["authorization"] for request in played.asked] == ["Bearer mk_a_b"] * 4
+    assert [request.headers["authorization"] for request in played.calls] == ["Bearer mk_a_b"] * 4
     assert pauses[0] == 3.0
     assert 0.5 <= pauses[1] <= 1.0
     assert 1.0 <= pauses[2] <= 2.0
@@ -73,7 +73,7 @@ def test_no_other_status_is(driver: str, status: int, pauses: list[float]) -> No
     played = Played(answer)
     with pytest.raises(ServiceError) as caught:
         do(driver, played, "call", "POST", "/v1/keys", json={})
-    assert (caught.value.status, len(played.asked), pauses) == (status, 1, [])
+    assert (caught.value.status, len(played.calls), pauses) == (status, 1, [])
 
 
 def test_patience_ends(driver: str, pauses: list[float]) -> None:
@@ -84,7 +84,7 @@ def test_patience_ends(driver: str, pauses: list[float]) -> None:
     with pytest.raises(ServiceError, match="unavailable"):
         do(driver, played, "call", "GET", "/v1/keys", patience=20.0)
     assert 10 < sum(pauses) <= 20
-    assert len(played.asked) == len(pauses) + 1
+    assert len(played.calls) == len(pauses) + 1
 
 
 def test_an_error_carries_the_problem(driver: str) -> None:
@@ -114,7 +114,7 @@ def test_answers_of_something_else(driver: str, answer: httpx.Response) -> None:
     with pytest.raises(ServiceError) as caught:
         do(driver, played, "asset", "as_1")
     assert caught.value.code == "unexpected-answer"
-    assert len(played.asked) == 1
+    assert len(played.calls) == 1
 
 
 def test_no_answer(driver: str, pauses: list[float]) -> None:
@@ -122,7 +122,7 @@ def test_no_answer(driver: str, pauses: list[float]) -> None:
     played = Played(httpx.ConnectError("refused"))
     with pytest.raises(ServiceError, match="unreachable: ConnectError"):
         do(driver, played, "call", "POST", "/v1/keys", json={})
-    assert (len(played.asked), pauses) == (1, [])
+    assert (len(played.calls), pauses) == (1, [])
     again = Played(httpx.ReadError("gone"), httpx.Response(200, json=job("succeeded", result={})))
     assert do(driver, again, "wait", "job_1").ended
 
@@ -154,9 +154,9 @@ def test_a_job_is_followed_to_its_end(driver: str, pauses: list[float]) -> None:
         httpx.Response(200, json=plain, headers={"ETag": f'"{i}"'}) for i, plain in enumerate(states)
     )
     played, seen = Played(first, same, same, second, last), list[tuple[str, float]]()
-    ended = do(driver, played, "wait", "job_1", progress=lambda *told: seen.append(told))
+    ended = do(driver, played, "wait", "job_1", progress=lambda *output: seen.append(output))
     assert (ended.state, seen) == ("failed", [("", 0.0), ("look", 0.5), ("look", 0.5)])
-    assert [request.headers.get("if-none-match") for request in played.asked] == [None, '"0"', '"0"', '"0"', '"1"']
+    assert [request.headers.get("if-none-match") for request in played.calls] == [None, '"0"', '"0"', '"0"', '"1"']
     assert pauses == [0.1, 0.2, 0.4, 0.1]
 
 
@@ -190,7 +190,7 @@ def test_an_id_is_one_part_of_an_address(driver: str) -> None:
     played = Played(problem("not-found", 404))
     with pytest.raises(ServiceError):
         do(driver, played, "claim", "cl_1/../../keys?x=1")
-    assert played.asked[0].url.raw_path == b"/v1/claims/cl_1%2F..%2F..%2Fkeys%3Fx%3D1"
+    assert played.calls[0].url.raw_path == b"/v1/claims/cl_1%2F..%2F..%2Fkeys%3Fx%3D1"
 
 
 def test_lists_go_on_to_their_end(driver: str) -> None:
@@ -208,5 +208,5 @@ def test_lists_go_on_to_their_end(driver: str) -> None:
 def test_an_empty_object_is_a_body(driver: str) -> None:
     played = Played(httpx.Response(201, json={"id": "key_1"}))
     assert do(driver, played, "call", "POST", "/v1/keys", json={}) == {"id": "key_1"}
-    assert played.asked[0].content == b"{}"
-    assert played.asked[0].headers["content-type"] == "application/json"
+    assert played.calls[0].content == b"{}"
+    assert played.calls[0].headers["content-type"] == "application/json"

@@ -100,5 +100,5 @@ def test_times_are_times_and_null_until_they_come() -> None:
 def test_what_an_earlier_version_answered_still_passes() -> None:
     """Nothing of a result is dropped, whatever is in it."""
     old = {"claim_id": "cl_1", "verdict": "marked", "another": [1]}
-    told = view(Job("job_1", "t", "k", "verify", State.SUCCEEDED, {}, result=old, created_at="2026-01-01T00:00:00Z"))
-    assert told.model_dump()["result"] == old
+    output = view(Job("job_1", "t", "k", "verify", State.SUCCEEDED, {}, result=old, created_at="2026-01-01T00:00:00Z"))
+    assert output.model_dump()["result"] == old

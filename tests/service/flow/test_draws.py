@@ -49,14 +49,14 @@ class Told:
     """Who runs a task, in this process."""
 
     answer: Callable[[str], str] | None
-    asked: list[str] = field(default_factory=list)
+    calls: list[str] = field(default_factory=list)
 
     def __call__(self, stage: str, fraction: float) -> None:
         pass
 
     def ask(self, question: str) -> str:
         assert self.answer is not None
-        self.asked.append(question)
+        self.calls.append(question)
         return self.answer(question)
 
 
@@ -82,9 +82,9 @@ class House:
 
     def verify(self, row: Any, **request: Any) -> dict[str, Any]:
         """The reply of the task about an asset's own model."""
-        asked = {"model": row.model_sha256, "images": [], "cameras": None, "spz_frame": "auto", "asset_id": row.id}
-        asked |= {"false_claim_rate": 1e-9, "route": "model", "names": []}
-        return dict(verify_flow(self.service)[0].do(self._begun(asked | request)))
+        calls = {"model": row.model_sha256, "images": [], "cameras": None, "spz_frame": "auto", "asset_id": row.id}
+        calls |= {"false_claim_rate": 1e-9, "route": "model", "names": []}
+        return dict(verify_flow(self.service)[0].do(self._begun(calls | request)))
 
     def document(self, found: dict[str, Any]) -> tuple[dict[str, Any], str]:
         """The signed claim of a reply."""
@@ -160,10 +160,10 @@ def house(tmp_path: Path, stamps: Stamps) -> Iterator[House]:
 @pytest.mark.slow
 def test_copies_are_drawn_for_once_and_claim_at_chance_rate(house: House, stamps: Stamps) -> None:
     before, rows = stamps.given, [house.embed("a")]
-    asked = stamps.given
-    assert before < asked <= before + CONFIG.strength.draws, "one for each plan"
+    calls = stamps.given
+    assert before < calls <= before + CONFIG.strength.draws, "one for each plan"
     rows.append(house.embed("b"))
-    assert stamps.given == asked
+    assert stamps.given == calls
     opened = [open_record(house.service.blobs.read(row.record_sha256), KEY) for row in rows]
     assert opened[0].grain_key == opened[1].grain_key
     assert opened[0].commitments == opened[1].commitments
@@ -180,7 +180,7 @@ def test_copies_are_drawn_for_once_and_claim_at_chance_rate(house: House, stamps
     checked = verify_report(jws.encode(), keys, stamps.authority.roots)
     assert checked.valid, checked.checks
     assert {check.code: check.status for check in checked.checks}["drawing"] is Status.PASS
-    # The operator who takes its certificates away, or names others, has nobody who drew.
+    # An operator who removes its certificates, or names others, has no time stamp that drew.
     house.service.settings.tsa_certificates = ""
     weaker = house.verify(rows[1])
     assert (weaker["claim"]["rate_basis"], weaker["claim"]["false_claim_rate"]) == ("undated", 2.0**-128)
@@ -224,9 +224,9 @@ def test_the_record_proves_it_without_the_service(tmp_path: Path, stamps: Stamps
         for more, basis, rate in ((trust, "drawn", 1e-9), ((), "self_declared", 2.0**-128)):
             done = mark3dgs(served, "verify", str(model), *files, *more, "--json")
             assert done.returncode == 0, done.stdout + done.stderr
-            told = json.loads(done.stdout)
-            assert (told["rate_basis"], told["false_claim_rate"]) == (basis, rate)
-        assert "no certificate was given" in told["notes"][-1]
+            output = json.loads(done.stdout)
+            assert (output["rate_basis"], output["false_claim_rate"]) == (basis, rate)
+        assert "no certificate was given" in output["notes"][-1]
         found = client.verify(model)
         client.jws(found.claim_id, tmp_path / "claim.jws")
         (tmp_path / "jwks.json").write_text(json.dumps(client.call("GET", "/.well-known/jwks.json")))

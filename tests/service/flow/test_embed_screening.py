@@ -23,7 +23,7 @@ from service.db.schema import assets, audit, notices
 from service.embeds import screening
 from service.embeds.flow import embed_flow
 from service.embeds.screening import PLAIN, choose
-from service.embeds.watch import NOBODY, watch_flow
+from service.embeds.watch import NO_TENANT, watch_flow
 from service.http.job_responses import view
 from service.http.results import notice_of
 from service.jobs.port import Flow, Job, Run, State
@@ -49,7 +49,7 @@ class House:
             name: store(self.service.db, self.service.master, name, OwnerKey(bytes.fromhex(secret))).id
             for name, secret in KEYS.items()
         }
-        self.asked: list[tuple[str, str]] = []  # task, and its whole request as it goes through the pipe
+        self.calls: list[tuple[str, str]] = []  # task, and its whole request as it goes through the pipe
         self.carries: list[str] = []
         self.copy_z: dict[str, float] = {}
 
@@ -70,7 +70,7 @@ class House:
 
     def embed(self, number: int, tenant: str = "bob") -> dict[str, Any]:
         """What the step comes to for a `.splat` of this model."""
-        self.asked.clear()
+        self.calls.clear()
         upload = self.folder / "upload.splat"
         write_model(clusters(number, 300), upload)
         return self.ask(self.service.blobs.put(upload), tenant).results["embed"]
@@ -85,7 +85,7 @@ class House:
 
     def watch(self) -> list[dict[str, Any]]:
         """What comes of the jobs that look for others' marks; notices of all tenants."""
-        for job in self.service.jobs.list(NOBODY, 100, states=[State.QUEUED]):
+        for job in self.service.jobs.list(NO_TENANT, 100, states=[State.QUEUED]):
             self.do(watch_flow(self.service), job)
             self.service.jobs.result(job.id, State.SUCCEEDED, {})
         rows = self.service.db.query(notices.select()).all()
@@ -101,14 +101,14 @@ class House:
 
     def _work(self, folder: Path) -> Any:
         def work(task: str, request: Mapping[str, Any]) -> dict[str, Any]:
-            self.asked.append((task, json.dumps(request)))
+            self.calls.append((task, json.dumps(request)))
             if task in ("screen", "index"):
                 return TASKS[task](request, folder, silent)
             if task == "marks":
                 names = [each["asset"] for each in request["candidates"]]
                 found = {"z": 99.0, "log10_false_claim": -2000.0, "copy_named": True}
-                told = [found | {"asset": name, "copy_z": self.copy_z.get(name, 1.0)} for name in names]
-                return {"carries": [each for each in told if each["asset"] in self.carries]}
+                output = [found | {"asset": name, "copy_z": self.copy_z.get(name, 1.0)} for name in names]
+                return {"carries": [each for each in output if each["asset"] in self.carries]}
             files = {name: name for name in ("model", "record", "preview", "sketch")}
             for name in files:
                 (folder / name).write_text(name)
@@ -120,7 +120,7 @@ class House:
 
     def tasks_with(self, tenant: str) -> list[str]:
         """Tasks that were handed this tenant's owner key."""
-        return [task for task, request in self.asked if KEYS[tenant] in request]
+        return [task for task, request in self.calls if KEYS[tenant] in request]
 
 
 @pytest.fixture
@@ -135,10 +135,10 @@ def test_no_key_but_the_one_that_marks_enters_a_process_that_reads_the_upload(ho
     house.register("mine", "bob", 1)
     house.register("strange", "carol", 2)
     made = house.embed(1)
-    assert [task for task, _ in house.asked] == ["screen", "marks", "embed"]
+    assert [task for task, _ in house.calls] == ["screen", "marks", "embed"]
     assert house.tasks_with("bob") == ["marks", "embed"]
     assert house.tasks_with("alice") == house.tasks_with("carol") == []
-    requests = dict(house.asked)
+    requests = dict(house.calls)
     upload = json.loads(requests["screen"])["model"]
     marks = json.loads(requests["marks"])
     assert json.loads(requests["embed"])["model"] == upload
@@ -148,18 +148,18 @@ def test_no_key_but_the_one_that_marks_enters_a_process_that_reads_the_upload(ho
     assert read_model(plain).format == "ply"
     assert [each["asset"] for each in marks["candidates"]] == ["mine"]
     assert made["screening"] == {"carries": [], "not_screened": 0}
-    house.asked.clear()
+    house.calls.clear()
     house.watch()
-    assert [task for task, _ in house.asked] == ["screen", "marks"]
+    assert [task for task, _ in house.calls] == ["screen", "marks"]
     assert house.tasks_with("alice") == ["marks"]
     assert house.tasks_with("bob") == house.tasks_with("carol") == [], "what is not alike is not looked for"
-    assert upload not in dict(house.asked)["marks"]
+    assert upload not in dict(house.calls)["marks"]
 
 
 def test_where_nothing_is_alike_no_process_is_started_for_marks(house: House) -> None:
     house.register("mine", "bob", 1)
     assert house.embed(7)["screening"] == {"carries": [], "not_screened": 0}
-    assert [task for task, _ in house.asked] == ["screen", "embed"]
+    assert [task for task, _ in house.calls] == ["screen", "embed"]
 
 
 def test_ones_own_mark_is_told_and_anothers_to_its_owner(house: House) -> None:
@@ -180,13 +180,13 @@ def test_of_many_copies_of_one_original_its_owner_gets_one_notice(house: House) 
         house.register(f"copy {number}", "alice", 1)
     house.carries, house.copy_z = ["copy 0", "copy 1", "copy 2"], {"copy 1": 40.0}
     house.embed(1)
-    told = [(notice["tenant"], notice["asset_id"]) for notice in house.watch()]
-    assert told == [("alice", "copy 1")], "about the copy that says most"
+    output = [(notice["tenant"], notice["asset_id"]) for notice in house.watch()]
+    assert output == [("alice", "copy 1")], "about the copy with the strongest evidence"
 
 
 def test_forty_questions_tell_an_uploader_nothing(tmp_path: Path) -> None:
-    """Slight changes of one model, asked where each carries another's mark, and where none does: answers, lists, work
-    and log are the same, one by one; the owner is told of each."""
+    """Slight changes of one model, where each carries another's mark, and where none does: answers, lists, work and log
+    are the same, one by one; the owner is notified of each."""
     seen = {}
     for carries in (True, False):
         (folder := tmp_path / str(carries)).mkdir()
@@ -206,7 +206,7 @@ def test_when_it_is_looked_at_is_drawn(tmp_path: Path) -> None:
         _question(house, number, look=False)
     waits = [
         (datetime.fromisoformat(job.created_at) - datetime.now(UTC)).total_seconds() / 60
-        for job in house.service.jobs.list(NOBODY, 100)
+        for job in house.service.jobs.list(NO_TENANT, 100)
     ]
     house.service.close()
     assert 30 < max(waits) <= house.service.settings.watch_minutes
@@ -219,10 +219,10 @@ def _question(house: House, number: int, *, look: bool = True) -> tuple[str, lis
     model = replace(model, opacity_logits=model.opacity_logits + np.float32(1e-3 * number))
     upload = house.folder / "upload.ply"
     write_model(model, upload)
-    house.asked.clear()
+    house.calls.clear()
     run = house.ask(house.service.blobs.put(upload), name=f"job_{number:02}")
-    tasks = [task for task, _ in house.asked]
-    assert all("theirs" not in request for _, request in house.asked), "nothing that the answer could follow from"
+    tasks = [task for task, _ in house.calls]
+    assert all("theirs" not in request for _, request in house.calls), "nothing that the answer could follow from"
     if look:
         house.watch()
     ending = run.results["commit"]

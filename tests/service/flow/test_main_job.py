@@ -126,21 +126,21 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
         "--json",
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    told = json.loads(done.stdout)
-    assert (told["false_claim_rate"], told["rate_basis"]) == (2.0**-128, "undated")
-    assert told["attested"]["by"].startswith("the log of the service")
+    output = json.loads(done.stdout)
+    assert (output["false_claim_rate"], output["rate_basis"]) == (2.0**-128, "undated")
+    assert output["attested"]["by"].startswith("the log of the service")
 
 
 def test_a_stranger_who_marks_it_again_learns_nothing_and_its_owner_is_told(
     served: Served, alice: Client, bob: Client, marked: Embedded, model: bytes
 ) -> None:
-    """What bob sees of alice's marked model is what he sees of one that is nobody's."""
+    """What bob sees of alice's marked model is what he sees of an unmarked one."""
     answers = [bob.wait(bob.submit_embed(data, profile="fast").id) for data in (model, SCENE)]
     assert [answer.state for answer in answers] == ["succeeded", "succeeded"]
-    told = [dict(answer.outcome()) for answer in answers]
-    fixed = [{name: answer[name] for name in ("already_carries", "not_screened", "review")} for answer in told]
+    output = [dict(answer.outcome()) for answer in answers]
+    fixed = [{name: answer[name] for name in ("already_carries", "not_screened", "review")} for answer in output]
     assert fixed[0] == fixed[1]
-    assert told[0].keys() == told[1].keys()
+    assert output[0].keys() == output[1].keys()
     said = json.dumps([bob.call("GET", f"/v1/jobs/{answer.id}") for answer in answers])
     assert not any(secret in said for secret in ("alice", "acme", marked.asset_id, marked.record_id))
     assert bob.notices() == []
@@ -148,7 +148,7 @@ def test_a_stranger_who_marks_it_again_learns_nothing_and_its_owner_is_told(
     while not (notices := alice.notices(asset=marked.asset_id)):
         assert time.monotonic() < until, served.log()
         time.sleep(0.1)
-    assert [notice.uploaded_as for notice in notices] == [told[0]["asset_id"]]
+    assert [notice.uploaded_as for notice in notices] == [output[0]["asset_id"]]
     assert notices[0].strength > 128
 
 
@@ -167,10 +167,10 @@ def test_a_dispute_is_settled_and_signed(
 ) -> None:
     """Two assets of hers, the second made from the first one's marked model: the first came first."""
     assert again.asset_id != marked.asset_id
-    asked = {"asset_a": again.asset_id, "asset_b": marked.asset_id}
+    body = {"asset_a": again.asset_id, "asset_b": marked.asset_id}
     with pytest.raises(ServiceError, match="not-found"):
-        bob.call("POST", "/v1/disputes", json=asked)
-    result = alice.wait(alice.call("POST", "/v1/disputes", json=asked)["id"]).outcome()
+        bob.call("POST", "/v1/disputes", json=body)
+    result = alice.wait(alice.call("POST", "/v1/disputes", json=body)["id"]).outcome()
     assert result["first"] == "b"
     address = f"/v1/disputes/{result['dispute_id']}"
     settled = alice.call("GET", address)
@@ -277,7 +277,7 @@ def test_a_model_too_small_for_its_message(raw: httpx.Client, owner_key: str) ->
         "/v1/embed", data={"key_id": owner_key, "bits": "256"}, files={"model": small}, headers={"Prefer": "wait=60"}
     )
     assert (answer.status_code, answer.json()["type"]) == (422, "urn:mark3dgs:problem:capacity")
-    assert answer.json()["wanted"] == 256
+    assert answer.json()["body"] == 256
 
 
 def test_near_duplicates_share_a_budget(alice: Client, marked: Embedded, model: bytes) -> None:

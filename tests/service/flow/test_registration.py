@@ -1,4 +1,4 @@
-"""An asset has one time of registration, the log's: when the work was done, not when it was asked for."""
+"""An asset has one time of registration, the log's: when the work was done, not when it was requested."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from service.trust.commitments import registration_of
 
 def test_row_and_log_say_the_same_time(tmp_path: Path) -> None:
     service = Service.open(Settings(data_dir=tmp_path))
-    asked = {"model": "a" * 64, "key_id": "k", "label": "", "copy_name": "", "profile": "fast"}
+    request = {"model": "a" * 64, "key_id": "k", "label": "", "copy_name": "", "profile": "fast"}
     created = "2026-01-02T03:04:05.000000+00:00"
-    job = Job("job_1", "acme", "key", "embed", State.RUNNING, asked, created_at=created)
+    job = Job("job_1", "acme", "key", "embed", State.RUNNING, request, created_at=created)
     texts = ("record_id", "message", "original_format", "format")
     report = {"gaussians_out": 1, "psnr_worst_view": 50.0, "ssim_worst_view": 1.0, "seconds": 1.0}
     made = {**dict.fromkeys(texts, "x"), "report": report, "screening": {"carries": []}}

@@ -1,4 +1,4 @@
-"""The index of all assets in the data folder: kept, grown, learnt anew, lost; what it lacks hides nobody."""
+"""The index of all assets in the data folder: kept, grown, learnt anew, lost; what it lacks hides no asset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Shop:
     def __init__(self, folder: Path) -> None:
         self.service = Service.open(Settings(data_dir=folder / "data"))
         self.folder = folder
-        self.asked: list[tuple[str, Mapping[str, Any]]] = []
+        self.calls: list[tuple[str, Mapping[str, Any]]] = []
 
     def register(self, number: int, copies: int = 1, tenant: str = "alice") -> None:
         """An asset, and so many copies of it."""
@@ -53,19 +53,19 @@ class Shop:
 
     def screen(self, suspect: int, **options: bool) -> list[str]:
         """Ids of the assets that a model of this number may come from."""
-        self.asked.clear()
+        self.calls.clear()
         write_model(model(suspect), self.folder / "suspect.ply")
         folder = self.folder / "scratch"
         folder.mkdir(exist_ok=True)
         run = Run(Job("job", "alice", "key", "verify", State.RUNNING, {}), {}, folder, self._work(folder))
-        asked = {"model": str(self.folder / "suspect.ply"), "images": []}
-        found = [row.id for row in screen(self.service, run, asked, self.rows(), **options)]
+        calls = {"model": str(self.folder / "suspect.ply"), "images": []}
+        found = [row.id for row in screen(self.service, run, calls, self.rows(), **options)]
         shutil.rmtree(folder)
         return found
 
     def _work(self, folder: Path) -> Any:
         def work(task: str, request: Mapping[str, Any]) -> dict[str, Any]:
-            self.asked.append((task, request))
+            self.calls.append((task, request))
             return TASKS[task](request, folder, silent)
 
         return work
@@ -73,7 +73,7 @@ class Shop:
     @property
     def missing(self) -> int:
         """Entries that the last screening had to read itself."""
-        return len(self.asked[-1][1]["entries"])
+        return len(self.calls[-1][1]["entries"])
 
     @property
     def kept(self) -> list[Path]:
@@ -99,7 +99,7 @@ def test_copies_are_one_asset_and_all_come_along(shop: Shop) -> None:
     assert shop.screen(2) == ["2.0"]
     assert shop.screen(9) == []
     assert len(shop.screen(9, likely=True)) in (1, 5)
-    assert [task for task, _ in shop.asked] == ["screen"]
+    assert [task for task, _ in shop.calls] == ["screen"]
     assert shop.missing == 2
 
 
@@ -107,7 +107,7 @@ def test_the_index_is_kept_grows_and_can_be_lost(shop: Shop) -> None:
     for number in range(3):
         shop.register(number)
     assert shop.screen(2) == ["2.0"]
-    assert [task for task, _ in shop.asked] == ["index", "screen"]
+    assert [task for task, _ in shop.calls] == ["index", "screen"]
     assert shop.missing == 0
     first = shop.kept
     shop.register(3)
@@ -119,10 +119,10 @@ def test_the_index_is_kept_grows_and_can_be_lost(shop: Shop) -> None:
     assert shop.missing == 0
     assert len(shop.kept) == 1
     assert shop.kept != first
-    assert len(shop.asked[0][1]["entries"]) == 3, "what was there is kept"
+    assert len(shop.calls[0][1]["entries"]) == 3, "what was there is kept"
     (shop.kept[0] / "assets.json").write_text("{")
     assert shop.screen(1) == ["1.0"]
-    assert len(shop.asked[0][1]["entries"]) == 6, "a damaged index is made anew"
+    assert len(shop.calls[0][1]["entries"]) == 6, "a damaged index is made anew"
 
 
 def test_an_index_is_learnt_anew_when_outgrown(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +133,7 @@ def test_an_index_is_learnt_anew_when_outgrown(shop: Shop, monkeypatch: pytest.M
     for number in range(3, 6):
         shop.register(number)
     assert shop.screen(5) == ["5.0"]
-    assert len(shop.asked[0][1]["entries"]) == 6
+    assert len(shop.calls[0][1]["entries"]) == 6
     assert shop.kept[0].name.startswith("index-6-")
 
 
@@ -150,7 +150,7 @@ def test_a_damaged_or_lost_entry_hides_nobody_and_is_not_ruled_out(shop: Shop) -
 
 def test_nothing_registered_is_nothing_asked(shop: Shop) -> None:
     assert shop.screen(1) == []
-    assert shop.asked == []
+    assert shop.calls == []
 
 
 def test_a_lost_record_is_named_by_whoever_opens_it(shop: Shop) -> None:

@@ -55,9 +55,9 @@ def test_asset_and_log_are_whole(served: Served, owner: Client, old: str) -> Non
     asset = owner.asset(old)
     assert (asset.copy_name, asset.model_format, len(asset.message)) == ("acme", "splat", 4)
     done = mark3dgs(served, "audit", "verify", "--json")
-    told = json.loads(done.stdout)
-    assert (done.returncode, told["faults"]) == (0, [])
-    assert told["files"] >= 8, "originals, models, records, previews, sketches and pictures of the claim"
+    output = json.loads(done.stdout)
+    assert (done.returncode, output["faults"]) == (0, [])
+    assert output["files"] >= 8, "originals, models, records, previews, sketches and pictures of the claim"
 
 
 def test_the_claim_of_then_is_read_and_checked_offline(served: Served, owner: Client, old: str, tmp_path: Path) -> None:

@@ -23,11 +23,11 @@ def test_a_receiver_is_told(tmp_path: Path, receivers: Receivers) -> None:
             until = time.monotonic() + 60
             while not (receiver.got and client.webhooks()[0].last_status) and time.monotonic() < until:
                 time.sleep(0.2)
-            (told,) = client.webhooks()
+            (output,) = client.webhooks()
             ended = client.job(job.id)
     finally:
         served.stop()
     ((_, headers, body),) = receiver.got
     event = check_webhook(hook.secret or "", headers["mark3dgs-signature"], body)
     assert (event.job, event.job.state) == (ended, "failed")
-    assert (told.last_status, told.last_outcome, told.waiting) == (204, "delivered", 0)
+    assert (output.last_status, output.last_outcome, output.waiting) == (204, "delivered", 0)

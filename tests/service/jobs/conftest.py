@@ -71,7 +71,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """The time by which silence is measured: it passes when it is told to."""
+    """The time by which silence is measured: it passes when a test moves it."""
     made = Clock()
     monkeypatch.setattr(presence, "time", made)
     monkeypatch.setattr(fake, "time", made)

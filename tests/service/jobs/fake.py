@@ -1,4 +1,4 @@
-"""The port in memory: the shortest thing that keeps its promises while nobody dies."""
+"""The port in memory: the shortest thing that keeps its promises while no worker dies."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def test_lists_are_narrowed(engine: Engine) -> None:
 
 def test_progress_is_seen_and_counted(engine: Engine) -> None:
     engine.jobs.submit(new("a"))
-    assert not engine.jobs.progress("a", "embed", 0.1), "nobody is at work on a queued job"
+    assert not engine.jobs.progress("a", "embed", 0.1), "no worker has a queued job"
     engine.begin("a", "w")
     before = engine.jobs.get("t", "a")
     assert before is not None

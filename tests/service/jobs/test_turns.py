@@ -1,4 +1,4 @@
-"""Tenants take turns: a long queue of one keeps nobody else waiting, and what was cancelled costs nobody a turn."""
+"""Tenants take turns: a long queue of one delays no other, and a cancelled job costs no turn."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ def test_a_long_queue_of_one_keeps_nobody_waiting(shop: Workshop) -> None:
     shop.wait(lambda: begun(shop) == ["many0"])
     submit(shop, "few", *few)
     submit(shop, "third", "third0")
-    asked = [job for tenant in ("many", "few", "third") for job in shop.jobs.list(tenant)]
-    places = shop.jobs.positions(asked)
+    listed = [job for tenant in ("many", "few", "third") for job in shop.jobs.list(tenant)]
+    places = shop.jobs.positions(listed)
     shop.gate.touch()
     shop.wait(lambda: len(begun(shop)) == 11)
     order = begun(shop)
     assert order[1:3] == ["few0", "third0"], "who has none at work comes before who has"
     assert order.index("few1") <= 4, "then they take turns"
     assert [job for job in order if job in many] == many, "a tenant's own jobs keep their order"
-    assert places == {job: place for place, job in enumerate(order[1:], 1)}, "what was told beforehand comes true"
+    assert places == {job: place for place, job in enumerate(order[1:], 1)}, "what was predicted comes true"
 
 
 def test_the_tenant_with_the_fewest_at_work_comes_first(jobs: DurableJobs) -> None:

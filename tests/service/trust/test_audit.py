@@ -1,4 +1,4 @@
-"""The log: every entry provable, whoever appends at the same time, whatever dies meanwhile."""
+"""The log: every entry provable, whichever processes append at the same time or die meanwhile."""
 
 from __future__ import annotations
 

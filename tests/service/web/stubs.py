@@ -19,13 +19,13 @@ DAY = "2026-11-20T0{hour}:{minute:02}:00.000000+00:00"
 
 
 def lists(page: Page, **items: list[dict[str, Any]]) -> list[dict[str, list[str]]]:
-    """Serve these as the lists of /v1, newest first: by page, `state`, `verdict` and `q`. Returns what is asked for."""
-    asked: list[dict[str, list[str]]] = []
+    """Serve these as the lists of /v1, newest first: by page, `state`, `verdict` and `q`. Returns the requests."""
+    calls: list[dict[str, list[str]]] = []
 
     def answer(route: Route) -> None:
         where = urlsplit(route.request.url)
         query = parse_qs(where.query)
-        asked.append({"path": [where.path], **query})
+        calls.append({"path": [where.path], **query})
         found = [item for item in items[where.path.removeprefix("/v1/")] if _wanted(item, query)]
         after, limit = query.get("after", [""])[0], int(query.get("limit", ["20"])[0])
         first = next((k + 1 for k, item in enumerate(found) if item["id"] == after), 0)
@@ -35,7 +35,7 @@ def lists(page: Page, **items: list[dict[str, Any]]) -> list[dict[str, list[str]
 
     for name in items:
         page.route(lambda url, path=f"/v1/{name}": urlsplit(url).path == path, answer)  # type: ignore[misc]
-    return asked
+    return calls
 
 
 def _wanted(item: dict[str, Any], query: dict[str, list[str]]) -> bool:

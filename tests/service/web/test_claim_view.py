@@ -37,7 +37,7 @@ def box(page: Page, name: str) -> Any:
 def test_suspect_and_asset_stand_beside_the_verdict(page: Page, served: Served) -> None:
     asset, claim = stock(served)
     named = a_claim(1, id=claim, suspects=["stolen.ply", "b.ply", "c.ply"])
-    asked = lists(page, claims=[named])
+    queries = lists(page, claims=[named])
     claim_of(page, served)
     page.locator(".side-by-side img").nth(1).wait_for()
     assert min(page.evaluate(HAS)) > 300
@@ -46,7 +46,7 @@ def test_suspect_and_asset_stand_beside_the_verdict(page: Page, served: Served) 
     assert page.get_by_text("examined", exact=True).is_hidden(), "it is named twice"
     verdict, pictures = box(page, ".verdict"), box(page, ".side-by-side")
     assert pictures["x"] > verdict["x"] + verdict["width"], "not beside it"
-    assert [query["q"] for query in asked] == [[claim]]
+    assert [query["q"] for query in queries] == [[claim]]
     link = page.locator(".facts a")
     assert link.get_attribute("href") == f"#asset/{asset}"
     page.locator(".facts a", has_text=ask(served, f"/v1/assets/{asset}")["label"]).wait_for()

@@ -29,7 +29,7 @@ def test_digests_are_sha256(page: Page, length: int) -> None:
 
 
 def test_bytes_that_changed_on_the_way_are_refused(page: Page, tmp_path: Path) -> None:
-    """What the service was told and what came differ, so there is no upload."""
+    """The announced digest and the bytes differ, so there is no upload."""
     path = tmp_path / "a.splat"
     path.write_bytes(b"x" * 1024)
     make_key(page, "Changed")

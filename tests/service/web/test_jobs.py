@@ -70,7 +70,7 @@ def test_jobs_that_others_asked_for_tell_what_came_of_them(page: Page) -> None:
 
 def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     stage = {"stage": "record 3 of 20", "fraction": 0.12}
-    running = a_job(140, kind="verify", state="running", name="found <b>here</b>.spz", **stage)  # asked for elsewhere
+    running = a_job(140, kind="verify", state="running", name="found <b>here</b>.spz", **stage)  # started elsewhere
     queued = [a_job(150 + place, position=place) for place in range(1, 121)]
     past = [a_job(number, state="cancelled") for number in range(45, 0, -1)]
     jobs: list[dict[str, Any]] = [*reversed(queued), *past, running]  # the oldest
@@ -93,7 +93,7 @@ def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     page.locator(f"#jobs-ended li:first-child[data-job={running['id']}]").wait_for()
     assert "Too large: it was too large" in page.locator("#jobs-ended li").first.inner_text()
     assert page.locator("#jobs-ended li").count() == 41
-    assert "Finished: Check" in page.locator("#said").inner_text(), "nobody who only hears the page is told"
+    assert "Finished: Check" in page.locator("#said").inner_text(), "a screen reader announces it"
 
 
 def test_a_list_out_of_reach_says_so_once_and_goes_on(page: Page) -> None:
@@ -123,14 +123,14 @@ def test_a_job_that_could_not_be_cancelled_can_be_tried_again(page: Page) -> Non
 
 
 def test_the_list_is_left_alone_while_it_is_not_shown(page: Page) -> None:
-    asked = lists(page, jobs=[a_job(1)])
+    queries = lists(page, jobs=[a_job(1)])
     page.get_by_role("link", name="Jobs").click()
     page.locator("#jobs-open .job").wait_for()
     page.get_by_role("link", name="Check", exact=True).click()
     page.get_by_role("heading", name="Check a suspect").wait_for()
-    before = len(asked)
+    before = len(queries)
     page.wait_for_timeout(3500)  # two looks and more
-    assert len(asked) == before
+    assert len(queries) == before
 
 
 WATCHED = """async (seen) => {

@@ -45,7 +45,7 @@ def test_a_thumbnail_is_the_marked_picture_of_the_preview(page: Page, served: Se
 
 
 def test_lists_go_on_beyond_a_hundred(page: Page) -> None:
-    asked = lists(page, assets=[an_asset(number) for number in range(235, 0, -1)], claims=[])
+    queries = lists(page, assets=[an_asset(number) for number in range(235, 0, -1)], claims=[])
     library(page)
     more = page.get_by_role("button", name="Show older models")
     for shown in range(20, 235, 20):
@@ -56,7 +56,7 @@ def test_lists_go_on_beyond_a_hundred(page: Page) -> None:
         page.locator(f"#assets li:nth-child({shown + 1}) a:focus").wait_for()  # reading goes on where it was
     assert page.locator("#assets strong").all_inner_texts() == [f"Model {number}" for number in range(235, 0, -1)]
     assert more.is_hidden()
-    assert [query["after"] for query in asked if "after" in query][-1] == [an_asset(16)["id"]]
+    assert [query["after"] for query in queries if "after" in query][-1] == [an_asset(16)["id"]]
 
 
 def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> None:
@@ -83,9 +83,9 @@ def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> 
 
 def test_search_and_verdict_ask_the_service(page: Page) -> None:
     found = [an_asset(3), an_asset(2, label="Garden", copy_name="Acme"), an_asset(1)]
-    told = {"asset_id": found[1]["id"], "asset_label": "Garden", "copy_name": "Acme", "suspects": ["stolen.ply"]}
-    claims = [a_claim(3, verdict="marked", headline="Watermark found", **told), a_claim(2), a_claim(1)]
-    asked = lists(page, assets=found, claims=claims)
+    output = {"asset_id": found[1]["id"], "asset_label": "Garden", "copy_name": "Acme", "suspects": ["stolen.ply"]}
+    claims = [a_claim(3, verdict="marked", headline="Watermark found", **output), a_claim(2), a_claim(1)]
+    queries = lists(page, assets=found, claims=claims)
     library(page)
     first = page.locator("#claims li").first
     assert "stolen.ply against Garden, copy for Acme" in first.inner_text()
@@ -94,7 +94,7 @@ def test_search_and_verdict_ask_the_service(page: Page) -> None:
     page.locator("#claims li:only-child").wait_for()
     assert page.locator("#assets strong").inner_text() == "Garden"
     assert "copy for Acme" in page.locator("#assets").inner_text()
-    assert {query["path"][0] for query in asked if query.get("q") == ["acme"]} == {"/v1/assets", "/v1/claims"}
+    assert {query["path"][0] for query in queries if query.get("q") == ["acme"]} == {"/v1/assets", "/v1/claims"}
     page.get_by_label("Find", exact=True).fill("nowhere")
     page.locator("#assets .none").wait_for()
     assert page.locator("#claims").inner_text() == "No results."
@@ -102,7 +102,7 @@ def test_search_and_verdict_ask_the_service(page: Page) -> None:
     page.locator("#claims li").nth(2).wait_for()
     page.get_by_label("Verdict of the claims").select_option("Watermark found")
     page.locator("#claims li:only-child").wait_for()
-    assert asked[-1]["verdict"] == ["marked"]
+    assert queries[-1]["verdict"] == ["marked"]
 
 
 def test_an_answer_that_comes_late_does_not_replace_a_later_one(page: Page) -> None:

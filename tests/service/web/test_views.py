@@ -133,10 +133,10 @@ def test_api_pages_are_dark_where_that_is_wanted(browser: Browser, served: Serve
 @pytest.mark.long
 def test_api_pages_draw_themselves(browser: Browser, served: Served) -> None:
     page = browser.new_page()
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
+    calls: list[str] = []
+    page.on("request", lambda request: calls.append(request.url))
     page.goto(f"{served.address}/docs")
     page.locator("#operations-embed-embed").wait_for(timeout=20_000)
     assert page.locator(".opblock").count() > 15
-    assert [url for url in asked if not url.startswith((served.address, "data:", "blob:"))] == []
+    assert [url for url in calls if not url.startswith((served.address, "data:", "blob:"))] == []
     page.close()

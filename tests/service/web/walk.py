@@ -69,6 +69,6 @@ def walk(folder: Path) -> dict[str, float]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="an empty or new one")
-    asked = parser.parse_args()
-    asked.folder.mkdir(parents=True, exist_ok=True)
-    sys.stdout.write(json.dumps(walk(asked.folder), indent=1) + "\n")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    sys.stdout.write(json.dumps(walk(arguments.folder), indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""The end of a job is told at least once, later where that fails, not for ever, and to nobody else."""
+"""The end of a job is delivered at least once, later where that fails, not for ever, and to no other tenant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from service.clock import ago, now
 from service.core import Service
 from service.db import Database
 from service.db.schema import assets, deliveries, jobs, webhooks
-from service.embeds.watch import NOBODY, watch_flow
+from service.embeds.watch import NO_TENANT, watch_flow
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, Run, State
 from service.settings import Settings
@@ -46,7 +46,7 @@ def ended(service: Service, job_id: str, tenant: str = "acme") -> None:
 
 
 def left(db: Database) -> dict[str, Any]:
-    """What is still to be told, by job."""
+    """What is still to be delivered, by job."""
     with db.read() as connection:
         return {row.job: row for row in connection.execute(sa.select(deliveries))}
 
@@ -113,7 +113,7 @@ def test_a_mark_that_was_found_is_told_to_those_who_asked_for_it(own: Service, r
         row = dict.fromkeys((column.name for column in assets.columns), "x") | {"id": "as_1", "tenant": "acme"}
         connection.execute(assets.insert().values(row | {"gaussians": 1}))
     found = {"asset": "as_1", "z": 99.0, "log10_false_claim": -2000.0, "copy_z": None, "copy_named": None}
-    job = Job("watch_as_2", NOBODY, "", "watch", State.RUNNING, {"asset": "as_2"})
+    job = Job("watch_as_2", NO_TENANT, "", "watch", State.RUNNING, {"asset": "as_2"})
     for _ in range(2):
         watch_flow(own)[1].do(Run(job, {"watch": {"carries": [found]}}))
     assert deliver(own) == 1
@@ -153,15 +153,15 @@ def test_every_end_is_told_once_to_each_of_the_tenants_own(db: Database) -> None
         rows.result("stopped", State.CANCELLED, {})
         rows.result("done", State.FAILED, {})
     with db.read() as connection:
-        told = connection.execute(
+        output = connection.execute(
             sa.select(deliveries.c.job, webhooks.c.tenant).join(webhooks, webhooks.c.id == deliveries.c.webhook)
         )
-        found = sorted(map(tuple, told))
+        found = sorted(map(tuple, output))
     assert found == sorted(2 * [(job, "acme") for job in ("done", "failed", "cancelled", "stopped")])
 
 
 def test_an_end_that_cannot_be_noted_is_none(db: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both are in one transaction: no job ends without what is to be told of it."""
+    """Both are in one transaction: no job ends without its message."""
     rows = DurableJobs(db, NO_ENGINE)
     rows.submit(Job("a", "acme", "key", "verify", State.QUEUED, {}))
 
@@ -190,7 +190,7 @@ def test_what_is_taken_is_nobody_elses_until_its_lease_ends(db: Database) -> Non
     assert [(row.webhook, row.job) for row in second] == [(busy[1], "j1")]
     assert len(delivery.take(db, most=1)) == 1
     assert not {("j0", busy[0])} & {(row.job, row.webhook) for row in delivery.take(db)}
-    pass_time(db)  # whoever took them has died
+    pass_time(db)  # the worker that took them has died
     again = delivery.take(db)
     assert {(row.webhook, row.job) for row in again} <= {(each, f"j{n}") for each in busy for n in range(3)}
     assert len(again) == 2

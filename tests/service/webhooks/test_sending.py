@@ -83,7 +83,7 @@ def names(monkeypatch: pytest.MonkeyPatch) -> Found:
 
 @pytest.fixture
 def connected(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Addresses that somebody tried to connect to; none of them answers."""
+    """Addresses that were connected to; none of them answers."""
     tried: list[str] = []
 
     async def connect(self: Any, sock: Any, address: Any) -> None:
@@ -229,5 +229,5 @@ def test_the_certificate_is_that_of_the_name(
     assert post(f"https://hooks.test:{receiver.port}/") == (204, DELIVERED)
     assert post(f"https://other.test:{receiver.port}/") == (None, "no answer: ConnectError")
     monkeypatch.delenv("SSL_CERT_FILE")
-    assert post(f"https://hooks.test:{receiver.port}/") == (None, "no answer: ConnectError"), "nobody vouches for it"
+    assert post(f"https://hooks.test:{receiver.port}/") == (None, "no answer: ConnectError"), "an unknown authority"
     assert len(receiver.got) == 1

@@ -1,4 +1,4 @@
-"""How far a job is on the whole: told of the stages that the tasks really go through, and never backwards."""
+"""Progress of the whole job: over the stages that the tasks really go through, and never backwards."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from service.work.tasks import TASKS
 from tests.service.work.conftest import Marked
 
 TWICE = 0.03
-"""Going back that nobody sees: colours are quantised in two passes."""
+"""A step back that is not visible: colours are quantised in two passes."""
 
 
 def at(kind: str, stage: str, fraction: float, state: State = State.RUNNING, **request: Any) -> float | None:
@@ -37,9 +37,9 @@ def totals(kind: str, stages: list[tuple[str, float]], **request: Any) -> list[f
 
 def test_an_embedding_is_told_from_its_first_stage_to_its_last(marked: Marked) -> None:
     stages = [("screen", 0.1), ("screen", 1.0), *marked.stages, ("commit", 0.0)]
-    told = totals("embed", stages, profile="fast")
-    assert (told[0] < 0.01, told[-1]) == (True, 1.0)
-    assert len(set(told)) > 15
+    output = totals("embed", stages, profile="fast")
+    assert (output[0] < 0.01, output[-1]) == (True, 1.0)
+    assert len(set(output)) > 15
 
 
 @pytest.mark.parametrize("pictures", [0, 1])
@@ -51,8 +51,8 @@ def test_a_check_is_told_from_its_first_stage_to_its_last(marked: Marked, tmp_pa
     request |= {"images": [str(shot)]} if pictures else {"model": str(marked.path("model"))}
     stages = [("screen", 0.1)]
     TASKS["verify"](request, tmp_path, lambda stage, fraction: stages.append((stage, fraction)))
-    told = totals("verify", [*stages, ("commit", 1.0)], images=["x"] * pictures)
-    assert told[-1] == 1.0
+    output = totals("verify", [*stages, ("commit", 1.0)], images=["x"] * pictures)
+    assert output[-1] == 1.0
 
 
 def test_a_choice_takes_its_time() -> None:

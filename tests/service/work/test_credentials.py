@@ -1,4 +1,4 @@
-"""A manifest in a file that somebody sends: no task looks at it, no verdict and no embedding changes by it."""
+"""A manifest in an uploaded file: no task looks at it, no verdict and no embedding changes by it."""
 
 from __future__ import annotations
 
@@ -44,6 +44,6 @@ def test_a_look_says_nothing_of_it(inspect: Ask, forged: Path) -> None:
 
 
 def test_it_does_not_pass_through(forged: Path, tmp_path: Path) -> None:
-    """What is delivered is written anew: nobody's manifest rides along."""
+    """What is delivered is written anew: no manifest is carried over."""
     reply = TASKS["convert"]({"model": str(forged), "format": "sog"}, tmp_path, silent)
     assert embedded_manifest((tmp_path / reply["files"]["model"]).read_bytes(), "x") is None

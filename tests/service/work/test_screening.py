@@ -1,4 +1,4 @@
-"""The index of a service: which assets a suspect may come from, told without a key."""
+"""The index of a service: which assets a suspect may come from, found without a key."""
 
 from __future__ import annotations
 

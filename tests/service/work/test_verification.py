@@ -82,7 +82,7 @@ def test_too_little_evidence(verify: Ask, marked: Marked, tmp_path: Path) -> Non
 
 
 def test_the_right_one_of_several_and_all_tries_count(verify: Ask, marked: Marked, tmp_path: Path) -> None:
-    """Two records are asked, along two routes each."""
+    """Two records are tested, along two routes each."""
     suspect = tmp_path / "suspect.ply"
     moved = model_attack("similarity").apply(read_model(marked.path("model")).model, 3.0, rng=1)
     write_model(model_attack("crop").apply(moved, 0.3, rng=2), suspect)

@@ -31,7 +31,7 @@ __all__ = ["BITS", "LEAST_MATCHES", "attack_baseline", "attack_ours"]
 
 BITS = 32
 LEAST_MATCHES = 26
-"""Of 32 bits: what the field's usual test at 1e-3 asks for, if wrong keys read fair and independent bits."""
+"""Of 32 bits: what the field's usual test at 1e-3 requires, if wrong keys read fair and independent bits."""
 QUICK_ATTACKS = ("none", "prune random 20 %", "similarity x10 + shuffle", "JPEG 10")
 
 
@@ -76,8 +76,8 @@ def attack_ours(path: str, seed: int, pictures: int, quick: bool) -> list[Row]:
             claim = verify_images([picture], opened, VerifyConfig(), cameras=[camera]).claim
             rows.append(_attack("picture", name, claim.matching_bits, claim.verdict.value == "marked"))
     for rates in wrong_key_rates(scene, 1_000 if quick else 10_000, seed):
-        told = {field: rates[field] for field in ("route", "keys", "largest_z")}
-        rows.append({"what": "wrong keys", **told, "accepted": rates["claims_at_1e-9"]})
+        rate_row = {field: rates[field] for field in ("route", "keys", "largest_z")}
+        rows.append({"what": "wrong keys", **rate_row, "accepted": rates["claims_at_1e-9"]})
     return [{"scene": Path(path).name, "method": "ours", "seed": seed, **row} for row in rows]
 
 

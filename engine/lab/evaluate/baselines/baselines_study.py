@@ -71,7 +71,7 @@ def report(rows: list[Row], options: Options) -> Report:
         "Bits read right, mean over scenes, keys and pictures, at one PSNR; chance is 50 %. A dash: the method reads "
         "no pictures.",
     )
-    not_run = [Bar(f"{NAMES[name]} beside ours", "run", reason, None) for name, reason in reasons.items()]
+    not_run = [Bar(f"{NAMES[name]}, for comparison", "run", reason, None) for name, reason in reasons.items()]
     return Report(
         [*_bars(attacks), *not_run],
         [
@@ -128,8 +128,8 @@ def _bars(attacks: Sequence[Row]) -> list[Bar]:
         methods = grouped(_readable(picked(attacks, attack=attack)), "method")
         if own := methods.pop("ours", None):
             low, high = _interval(own)
-            beside = ", ".join(f"{SHORT[name]} {_share(rows):.1f}" for name, rows in methods.items())
-            measured = f"{_share(own):.2f} % (95 % {low:.1f} to {high:.1f}, n = {len(own)}); {beside}"
+            others = ", ".join(f"{SHORT[name]} {_share(rows):.1f}" for name, rows in methods.items())
+            measured = f"{_share(own):.2f} % (95 % {low:.1f} to {high:.1f}, n = {len(own)}); {others}"
             bars.append(Bar(f"32 bits after: {attack}", f">= {LEAST} %", measured, _share(own) >= LEAST))
     return bars
 

@@ -1,4 +1,4 @@
-"""What a way to mark models is: the small interface that puts others beside ours, at one fidelity for all."""
+"""What a way to mark models is: the small interface that compares others with ours, at one fidelity for all."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

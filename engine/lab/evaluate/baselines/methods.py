@@ -1,4 +1,4 @@
-"""The runnable methods by name, so that any study can put them beside ours."""
+"""The runnable methods by name, so that any study can compare them with ours."""
 
 from engine.errors import InputError
 from engine.lab.evaluate.baselines.method import Method

@@ -169,8 +169,8 @@ def read_screenshots(scene: MarkedScene, trials: int, seed: int = 0, foreign: Ga
 
 
 def _part(picture: Float32, rng: np.random.Generator) -> Float32:
-    """What somebody may cut out of a screenshot (H, W, 3) over black: 40 to 70 % of its sides, of ten places the one
-    that shows most. Its middle is no longer that of the camera."""
+    """A cutting from a screenshot (H, W, 3) over black: 40 to 70 % of its sides, of ten places the one that shows most.
+    Its middle is no longer the camera's."""
     height, width = (round(float(side)) for side in rng.uniform(0.4, 0.7) * np.array(picture.shape[:2]))
     corners = rng.integers(0, [picture.shape[0] - height, picture.shape[1] - width], (10, 2))
     parts = [picture[top : top + height, left : left + width] for top, left in corners]

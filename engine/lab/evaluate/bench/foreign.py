@@ -1,7 +1,7 @@
 """Pictures that do not carry the mark, held against its record: does any claim, is any taken for the asset?
 
 Of `pictures` in all a quarter each show the asset itself unmarked, which is to be recognised and not claimed; the next
-scene, marked under another key; lumps that nobody captured; and photographs in which nothing was rendered.
+scene, marked under another key; synthetic lumps; and photographs in which nothing was rendered.
 """
 
 from collections.abc import Iterator
@@ -38,8 +38,8 @@ def measure_foreign(scene: str, seed: int, profile: str, pictures: int, other: s
     for source, supply in shown.items():
         for number, picture in enumerate(islice(supply, each)):
             result = verify_images([picture], marked.opened, VerifyConfig())
-            told = {"source": source, "number": number, "recognised": result.claim.derivation.derived}
-            rows.append({"scene": marked.name, **told, **claim_row(source, result)})
+            about = {"source": source, "number": number, "recognised": result.claim.derivation.derived}
+            rows.append({"scene": marked.name, **about, **claim_row(source, result)})
     return rows
 
 

@@ -91,7 +91,7 @@ def measure_variants(scene: str, setting: str, seed: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         row = VARIANTS[setting](original, bench_key(seed), config, Path(folder), seed)
     weakest = min(row.readings, key=lambda reading: (reading.bit_accuracy, reading.z))
-    told = {
+    found = {
         "scene": Path(scene).name,
         "variant": row.name,
         "gaussians": len(original),
@@ -109,7 +109,7 @@ def measure_variants(scene: str, setting: str, seed: int) -> list[Row]:
         "weakest_z": weakest.z,
         "row": row.to_json(),
     }
-    return [told]
+    return [found]
 
 
 def _discs(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:

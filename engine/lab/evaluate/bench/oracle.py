@@ -1,11 +1,11 @@
-"""Removal with an oracle: whoever may ask "is the mark still there?" walks along the edge of the verdict.
+"""Removal with an oracle: an attacker who may ask "is the mark still there?" walks along the edge of the verdict.
 
 HopSkipJump (Chen, Jordan and Wainwright, IEEE S&P 2020), which needs nothing but yes and no: find the edge between the
-marked model and one that no longer claims, ask about small random moves around it, go the way that most of the
-unclaimed ones went, come back to the edge nearer to the marked model. What a question tells of a mark of C chips is
+marked model and one that no longer claims, query small random moves around it, move in the mean direction of the
+unclaimed ones, come back to the edge nearer to the marked model. What a question reveals of a mark of C chips is
 about one part in the root of C of its direction, so a budget of questions buys little; this measures how little.
 
-The oracle is the verification that the service runs; its verdict, and no number, is told. Moves are drawn in all that
+The oracle is the verification that the service runs; it reveals its verdict, and no number. Moves are drawn in all that
 carries the mark, each attribute in what the mark moves it by.
 """
 
@@ -63,21 +63,21 @@ class _Way:
 
 
 class _Oracle:
-    """Yes or no, and how often it was asked."""
+    """Yes or no, and the number of queries."""
 
     def __init__(self, ask: Callable[[GaussianModel], Verification], way: _Way, budget: int) -> None:
-        self._ask, self._way, self._left, self.asked = ask, way, budget, 0
+        self._ask, self._way, self._left, self.count = ask, way, budget, 0
 
     @property
     def spent(self) -> bool:
         """Whether no question is left."""
-        return self._left <= self.asked
+        return self._left <= self.count
 
     def claims(self, place: Float32) -> bool:
-        """Whether the model there is said to be marked; yes, which helps nobody, once the budget is spent."""
+        """Whether the model there is said to be marked; yes, which helps no attacker, once the budget is spent."""
         if self.spent:
             return True
-        self.asked += 1
+        self.count += 1
         return self._ask(self._way.model(place)).claim.verdict is Verdict.MARKED
 
     def edge(self, place: Float32) -> Float32:
@@ -100,24 +100,24 @@ def measure_oracle(scene: str, questions: int, seed: int, profile: str) -> list[
     def ask(suspect: GaussianModel) -> Verification:
         return verify_model(suspect, made.opened, VerifyConfig(route="model"))
 
-    def row(place: Float32, asked: int) -> Row:
+    def row(place: Float32, questions: int) -> Row:
         suspect = way.model(place)
         paid = min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, cameras, strict=True))
         z = ask(suspect).claim.z
         length = float(np.sqrt(np.square(place).mean()))
-        return {"scene": made.name, "asked": asked, "psnr_db": paid, "z": z, "moved": length}
+        return {"scene": made.name, "asked": questions, "psnr_db": paid, "z": z, "moved": length}
 
     oracle = _Oracle(ask, way, questions)
     start = way.start()
     if oracle.claims(start):
         return [row(start, 1) | {"note": "the far end claims, too"}]
     place = oracle.edge(start)
-    rows = [row(place, oracle.asked)]
+    rows = [row(place, oracle.count)]
     step = 0
     while not oracle.spent:
         step += 1
         place = _hop(oracle, place, step, rng)
-        rows.append(row(place, oracle.asked))
+        rows.append(row(place, oracle.count))
     return rows
 
 

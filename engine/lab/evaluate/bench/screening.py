@@ -61,14 +61,14 @@ def measure_screening(scenes: Sequence[str], seed: int, assets: int) -> list[Row
         for name, model in models.items():
             rng = np.random.default_rng(seed)
             for kind, suspect in _models(model, rng):
-                rows.append(_asked(name, kind, partial(_ask, catalogue, suspect)))
+                rows.append(_ranked(name, kind, partial(_ask, catalogue, suspect)))
             for number, picture in enumerate(posted_pictures(model, PICTURES, rng)):
-                told = _asked(name, "picture", partial(screen_pictures, catalogue, [picture]))
-                rows.append({**told, "number": number})
+                row = _ranked(name, "picture", partial(screen_pictures, catalogue, [picture]))
+                rows.append({**row, "number": number})
     return rows
 
 
-def _asked(name: str, kind: str, ask: Callable[[], list[Likeness]]) -> Row:
+def _ranked(name: str, kind: str, ask: Callable[[], list[Likeness]]) -> Row:
     """Rank (0 is first, None not at all) of the right asset."""
     started = time.perf_counter()
     found = ask()

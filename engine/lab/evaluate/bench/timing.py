@@ -1,7 +1,7 @@
 """How long embedding, verifying, physics and training take, stage by stage, and how much memory an embedding needs.
 
 Contract: every scene is marked and verified in a process of its own, so that its peak memory is its own; one run warms
-up (kernels, file cache) and is thrown away, then come the timed ones; medians are reported, extremes beside.
+up (kernels, file cache) and is thrown away, then come the timed ones; medians are reported, with extremes.
 """
 
 import statistics
@@ -71,7 +71,7 @@ def median_ms(work: Callable[[], object], repeats: int) -> float:
 
 
 def measure_embed(scene: str, seed: int, profile: str, repeats: int) -> list[Row]:
-    """Embeddings of 32 bits: seconds, seconds by stage, peak memory, fidelity; beside: first run, reading."""
+    """Embeddings of 32 bits: seconds, seconds by stage, peak memory, fidelity; in addition: first run, reading."""
     return in_own_process(_embed, scene, seed, profile, repeats)
 
 
@@ -100,7 +100,7 @@ def measure_verify(scene: str, seed: int, profile: str, repeats: int) -> list[Ro
     """Verifications of one marked scene: seconds, seconds by stage, claim; peak memory with the embedding's.
 
     Suspects: the marked model moved, scaled and shuffled ("model"); one 800x800 picture from a known camera
-    after JPEG 80 ("picture"); an 800x600 screenshot after JPEG 80 whose camera nobody knows ("screenshot").
+    after JPEG 80 ("picture"); an 800x600 screenshot after JPEG 80 with an unknown camera ("screenshot").
     """
     return in_own_process(_verify, scene, seed, profile, repeats)
 

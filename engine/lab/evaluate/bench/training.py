@@ -1,6 +1,6 @@
 """What trainings leave of a mark: fine-tuning by the paper's Table 5, and fresh models trained on renders.
 
-Nobody has published the latter. Our reading is informed: it uses the owner's record, which blind decoders do without.
+The latter has no published results. Our reading is informed: it uses the owner's record, blind decoders do not.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +33,7 @@ READ = ("z", "log10_false_claim", "bit_accuracy", "verdict")
 
 
 def stops_until(epochs: int) -> tuple[int, ...]:
-    """The table's numbers of epochs up to the one asked for, and that one."""
+    """The table's numbers of epochs up to `epochs`, and that one."""
     return (*(stop for stop in TABLE_5 if stop < epochs), epochs)
 
 
@@ -99,5 +99,5 @@ def read_retrained(
                 "image": verify_images(pictures, scene.opened, cameras=known),
             }
             for route, reading in readings.items():
-                told = claim_row("", reading)
-                yield {**about, "route": route, **{name: told[name] for name in READ}}
+                claim = claim_row("", reading)
+                yield {**about, "route": route, **{name: claim[name] for name in READ}}

@@ -17,7 +17,7 @@ __all__ = ["compare_attributes", "divergence", "permutation_test", "squared_dist
 def compare_attributes(path: str, samples: int, draws: int, keys: int, quick: bool, seed: int) -> list[Row]:
     """Disjoint random samples of one scene: unmarked against unmarked, unmarked against marked, one row for each.
 
-    A blatant mark (DC 20 times as far displaced) stands beside: the test can see what there is to see.
+    A blatant mark (DC 20 times as far displaced) is the control: the test can detect one.
     """
     rows = []
     for number in range(keys):

@@ -140,7 +140,7 @@ def try_crafted(path: str, keys: int, quick: bool, seed: int) -> list[Row]:
 
 
 def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
-    """Records of recipients who had no part, drawn by the real key derivation, on one recipient's copy."""
+    """Records of innocent recipients, drawn by the real key derivation, tested on one recipient's copy."""
     loaded, key = read_model(path), bench_key(seed)
     made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=32, config=fast_config(quick), copy="guilty")
     opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
@@ -194,7 +194,7 @@ def ask_oracle(path: str, repeats: int, quick: bool, seed: int) -> list[Row]:
 
     The attacker is given the code vectors. A detector that tells z leaks its chips: the sum of patterns, each times
     its z, grows by the square root of the questions. One that says only whether the mark is there says the same of
-    every pattern, and so nothing. (Who holds a marked copy can still walk along the edge of the verdict.)
+    every pattern, and so nothing. (The holder of a marked copy can still walk along the edge of the verdict.)
     """
     opened = fast_mark(path, quick, seed).opened
     secret = (opened.spreading.chips * opened.message[opened.spreading.bit_of]).astype(np.float64)
@@ -203,14 +203,14 @@ def ask_oracle(path: str, repeats: int, quick: bool, seed: int) -> list[Row]:
     for repeat in range(repeats):
         rng = np.random.default_rng((seed, repeat, 0x04AC1E))
         by_z, by_verdict = np.zeros(len(secret)), np.zeros(len(secret))
-        for asked in range(1, QUERIES[-1] + 1):
+        for count in range(1, QUERIES[-1] + 1):
             pattern = 2.0 * rng.integers(0, 2, len(secret), dtype=np.int8) - 1.0
             z = float(pattern @ secret) / math.sqrt(len(secret))
             by_z += z * pattern
             by_verdict += float(z >= threshold) * pattern
-            if asked in QUERIES:
-                told = {"z_told_z": _z(by_z, secret), "z_told_verdict": _z(by_verdict, secret)}
-                rows.append({"what": "oracle", "queries": asked, "repeat": repeat, **told, "z_threshold": threshold})
+            if count in QUERIES:
+                z_after = {"z_told_z": _z(by_z, secret), "z_told_verdict": _z(by_verdict, secret)}
+                rows.append({"what": "oracle", "queries": count, "repeat": repeat, **z_after, "z_threshold": threshold})
     return rows
 
 

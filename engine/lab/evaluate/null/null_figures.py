@@ -99,10 +99,10 @@ def draw_detectability(rows: Sequence[Row], title: str) -> Figure:
 
 
 def draw_oracle(rows: Sequence[Row], title: str) -> Figure:
-    """z of a forged pattern against the questions asked."""
+    """z of a forged pattern against the number of queries."""
     drawn, axes = figure(height=3.4)
     queries = sorted(distinct(rows, "queries"))
-    series = (("z_told_z", "answers tell z"), ("z_told_verdict", "answers tell the verdict alone"))
+    series = (("z_told_z", "z is revealed"), ("z_told_verdict", "the verdict alone is revealed"))
     for style, (field, label) in zip(styles(), series, strict=False):
         z = [[row[field] for row in picked(rows, queries=count)] for count in queries]
         mean, low, high = ([of(own) for own in z] for of in (np.mean, min, max))

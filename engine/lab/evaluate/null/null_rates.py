@@ -1,4 +1,4 @@
-"""How often keys that had no part in a suspect come how far, against what the theorem allows them."""
+"""How often unrelated keys reach which score, against what the theorem allows them."""
 
 import hashlib
 from collections.abc import Sequence

@@ -64,7 +64,7 @@ def report(rows: list[Row], options: Options) -> Report:
     power, oracle, seen = (picked(rows, what=what) for what in ("power", "oracle", "detectability"))
     rates, largest = add_up(tried, "all"), max(row["z_largest"] for row in tried)
     answer = (
-        f"{rates.keys:,} keys that had no part in the suspect they were tried on made {rates.hits[-1]} claims at 1e-9; "
+        f"{rates.keys:,} keys, unrelated to the suspects they were tested on, made {rates.hits[-1]} claims at 1e-9; "
         f"the largest z was {largest:.2f}, a claim needs 6.44."
     )
     measured = zip(LOG10_THRESHOLDS, rates.shares, strict=True)
@@ -143,7 +143,7 @@ def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[R
         "Each key draws chips of its own for the true reference and the very same evidence. For such keys the theorem "
         "allows at most exp(-z²/2), whatever the suspect is; real evidence of thousands of chips comes close to the "
         "normal tail below it. The mistaken detector rebuilds its reference as suspect minus own mark, and finds "
-        "every key in everything. A forged original is somebody's marked model minus a mark of the thief's own, "
+        "every key in everything. A forged original is an owner's marked model minus a mark of the thief's own, "
         f"registered by the right program: {len(forged)} tried, "
         f"largest z {max((row['z'] for row in forged), default=0.0):.2f}."
     )
@@ -173,7 +173,7 @@ def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[R
     drawing = Drawing(
         "false-claims",
         partial(null_figures.draw_false_claims, groups, add_up(wrong, "wrong detector"), title),
-        "Share of wrong keys that reach each stated bound. Where nothing is drawn no key came so far.",
+        "Share of wrong keys that reach each stated bound. Where nothing is drawn, no key reached it.",
     )
     return Section("False claims", [text], [shown], [drawing])
 
@@ -239,17 +239,17 @@ def _enough(rows: Sequence[Row], what: str) -> str:
 
 
 def _oracle_section(oracle: Sequence[Row]) -> Section:
-    told = [row["queries"] for row in oracle if row["z_told_z"] >= row["z_threshold"]]
+    enough = [row["queries"] for row in oracle if row["z_told_z"] >= row["z_threshold"]]
     verdicts = max((row["z_told_verdict"] for row in oracle), default=0.0)
-    after = f"after {min(told)} questions" if told else "after no number of questions tried"
+    after = f"after {min(enough)} questions" if enough else "after no number of questions tried"
     text = (
-        "The bound speaks of keys that had no part in the suspect. A detector that answers strangers takes part: told "
-        f"z, a stranger who is even given the code vectors frames the owner {after}. Told the verdict alone he learns "
-        f"nothing this way (largest z {verdicts:.1f}); one who holds a marked copy could still walk along the edge of "
-        "the verdict, which was not tried. This is why z belongs to the owner, and why the service answers others "
-        "coarsely and counts their questions."
+        "The bound holds for keys unrelated to the suspect. A detector that answers strangers breaks this: given z, "
+        f"and even the code vectors, a stranger frames the owner {after}. Given the verdict alone he learns nothing "
+        f"this way (largest z {verdicts:.1f}); with a marked copy he could still walk along the edge of the verdict, "
+        "which was not tried. This is why z belongs to the owner, and why the service answers others coarsely and "
+        "counts their queries."
     )
-    title = f"An oracle that tells z is enough to frame its owner {after}"
+    title = f"An oracle that reveals z is enough to frame its owner {after}"
     drawing = Drawing("oracle", partial(null_figures.draw_oracle, oracle, title), "z of the sum of liked patterns.")
     return Section("What the owner's own answers give away", [text], [], [drawing])
 
@@ -285,7 +285,7 @@ def _detect_section(seen: Sequence[Row]) -> Section:
 STUDY = Study(
     "null",
     "Truth: measured false claims against the proven bound",
-    "Does any key that had no part in a suspect claim it, and what does it take for the right key to do so?",
+    "Does any unrelated key claim a suspect, and what does it take for the right key to do so?",
     cells,
     report,
 )

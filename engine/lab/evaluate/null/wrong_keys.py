@@ -1,4 +1,4 @@
-"""Samples of the null distribution: Z of keys that had no part in a suspect."""
+"""Samples of the null distribution: Z of keys unrelated to a suspect."""
 
 import math
 
@@ -14,9 +14,9 @@ _BATCH = 1 << 15  # keys at a time: partial sums and key bytes stay in cache
 
 
 def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
-    """(count,) Z of keys that had no part in the evidence: samples of the null distribution, given y and w.
+    """(count,) Z of keys unrelated to the evidence: samples of the null distribution, given y and w.
 
-    The message and the dealing of bits only flip signs that are fair anyway, so neither is asked for. Eight
+    The message and the dealing of bits only flip signs that are fair anyway, so neither is needed. Eight
     chips at a time become one byte of keystream and one look-up of their 256 possible sums: 100,000 keys of
     8,192 chips take about 0.2 s.
 

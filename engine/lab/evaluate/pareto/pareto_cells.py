@@ -87,9 +87,9 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
     views = other_views(loaded.model, HELD_OUT, size, (seed, OF_VIEWS))[: 2 if quick else None]
     subject = MarkedScene(Path(scene).name, loaded.model, made.model, open_record(record, key, MADE_FIRST), made.report)
     camera = bench_camera(loaded.model, *((320, 200) if quick else FPS_SIZE))
-    foretold = None
+    predicted = None
     if setting.axis in PREDICTED and not quick:
-        foretold = rehearse(model, key, config, loaded.sha256).predicted_z
+        predicted = rehearse(model, key, config, loaded.sha256).predicted_z
     row = {
         **about,
         "views": config.views,
@@ -102,7 +102,7 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
         **timed,
         "busy": load_per_core(),
         "shares_landmarks": setting.shares_landmarks and not quick,
-        "predicted_worst_z": foretold,
+        "predicted_worst_z": predicted,
         **_fidelity(subject, loaded.model, views),
         "frame_ms": median_ms(lambda: render(made.model, camera), 3 if quick else 9),
         "frame_size": [camera.width, camera.height],
@@ -130,9 +130,9 @@ def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bo
     cpu: list[float] = []
     for _ in range(1 if quick else REPEATS):
         config = config_of(point, **more)
-        asked = Auto(config, format="sog") if point.profile == AUTO else config
+        chosen = Auto(config, format="sog") if point.profile == AUTO else config
         began = time.process_time()
-        made.append(embed(model, bench_key(seed), original_sha256=digest, bits=point.bits, config=asked))
+        made.append(embed(model, bench_key(seed), original_sha256=digest, bits=point.bits, config=chosen))
         cpu.append(time.process_time() - began)
         more["landmark_views"] = 0
     first = made[0].report

@@ -1,4 +1,4 @@
-"""Figures of speed against accuracy: ours beside what peers published, and what each knob of ours buys."""
+"""Figures of speed against accuracy: ours next to published ones, and what each knob of ours buys."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -64,7 +64,7 @@ def draw_time_and_fidelity(found: Sequence[Result], published: Sequence[Publishe
     points = [(r.embed_seconds, float(r.row["psnr_worst_view"])) for r in found if r.point.bits == 32]
     _peers_and_ours(axes, peers(published, "PSNR"), points)
     values = [value for _, value in points]
-    title = f"Marks of {min(values):.0f} to {max(values):.0f} dB beside published ones"
+    title = f"Marks of {min(values):.0f} to {max(values):.0f} dB and published ones"
     axes.set(ylabel="PSNR of the mark, worst key view, dB", title=title)
     return drawn
 
@@ -91,7 +91,7 @@ def _here() -> str:
 
 
 def _name_points(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None:
-    """Names beside points, on the side with more room: a point with a close neighbour above is named below it."""
+    """Names next to points, on the side with more room: a point with a close neighbour above is named below it."""
     for name, x, y in points:
         close = [(a, b) for other, a, b in points if other != name and 0.4 < a / x < 2.6 and abs(b - y) < 1.0]
         height = -9 if any(b > y or (b == y and a > x) for a, b in close) else 3
@@ -205,10 +205,10 @@ def _of(found: Sequence[Result], axis: str) -> list[Result]:
     return [result for result in found if result.point.axis == axis]
 
 
-def draw_foretold(told: Sequence[Result]) -> Figure:
+def draw_predictions(predicted: Sequence[Result]) -> Figure:
     """Predicted against measured z of the worst attacked picture."""
     drawn, axes = figure(width=4.8, height=4.2)
-    points = [(float(r.row["predicted_worst_z"]), r.picture_z, str(r.row["scene"])) for r in told]
+    points = [(float(r.row["predicted_worst_z"]), r.picture_z, str(r.row["scene"])) for r in predicted]
     for scene, style in zip(dict.fromkeys(scene for *_, scene in points), styles(), strict=False):
         own = [(x, y) for x, y, name in points if name == scene]
         axes.plot([x for x, _ in own], [y for _, y in own], label=scene, **{**style, "linestyle": "none"})

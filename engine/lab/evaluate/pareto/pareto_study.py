@@ -15,8 +15,8 @@ from engine.flows.embed.config import CONFIG
 from engine.lab.evaluate.intervals import bootstrap, share_interval
 from engine.lab.evaluate.pareto.pareto_charts import (
     draw_bytes_and_seconds,
-    draw_foretold,
     draw_main,
+    draw_predictions,
     draw_rendering,
     draw_time_and_fidelity,
     peers,
@@ -32,7 +32,7 @@ WORK = "engine.lab.evaluate.pareto.pareto_cells:measure_point"
 MARGIN = 1.5
 """Times the z of a claim at 1e-9: what a recommended setting keeps after the worst attack."""
 LEAST_DB = 47.0 - CONFIG.auto.slack_db
-"""In unseen views: nobody sees a mark at 45 dB."""
+"""In unseen views: a mark at 45 dB is invisible."""
 BALANCED_BAR, FAST_BAR, VERIFY_BAR = 45.0, 15.0, 3.0
 """Seconds, for 500,000 Gaussians on two cores."""
 
@@ -52,7 +52,7 @@ def _cells(options: Options) -> list[Cell]:
 def _report(rows: list[Row], options: Options) -> Report:
     by_scene = grouped(rows, "scene")
     found = {scene: results(own) for scene, own in by_scene.items()}
-    told = [r for own in found.values() for r in own if r.row["predicted_worst_z"] is not None]
+    known = [r for own in found.values() for r in own if r.row["predicted_worst_z"] is not None]
     first, main = next(iter(found.items()))
     published = read_published()
     sections = [
@@ -81,7 +81,7 @@ def _report(rows: list[Row], options: Options) -> Report:
                 ),
             ],
         ),
-        *([_foretold_section(told)] if told else []),
+        *([_prediction_section(known)] if known else []),
         *(_scene_section(scene, own, by_scene[scene]) for scene, own in found.items()),
     ]
     advice = {scene: _advice(scene, own) for scene, own in found.items()}
@@ -171,20 +171,20 @@ def _bars(scene: str, found: Sequence[Result]) -> list[Bar]:
     return bars
 
 
-def _foretold_section(told: Sequence[Result]) -> Section:
-    ratios = [r.picture_z / r.row["predicted_worst_z"] for r in told]
+def _prediction_section(known: Sequence[Result]) -> Section:
+    ratios = [r.picture_z / r.row["predicted_worst_z"] for r in known]
     low, high = bootstrap(ratios)
     return Section(
-        "What auto predicts, and what came",
+        "What auto predicts, and what was measured",
         [
             "A scene is rehearsed: its mark is planned on views of 256 pixels, without landmarks, and read from six "
-            "unseen views of 800 pixels at JPEG quality 10 (engine/flows/embed/auto_profile.py). What is measured "
-            "beside is the worse of two other unseen views, at JPEG quality 10 and with noise of std 0.1. "
-            f"Measured over predicted: {min(ratios):.2f} to {max(ratios):.2f} in {len(told)} settings, mean "
+            "unseen views of 800 pixels at JPEG quality 10 (engine/flows/embed/auto_profile.py). What is "
+            "measured is the worse of two other unseen views, at JPEG quality 10 and with noise of std 0.1. "
+            f"Measured over predicted: {min(ratios):.2f} to {max(ratios):.2f} in {len(known)} settings, mean "
             f"{fmean(ratios):.2f} (95 %: {low:.2f} to {high:.2f})."
         ],
         drawings=[
-            Drawing("foretold", partial(draw_foretold, told), "z of the worst attacked picture: predicted, measured.")
+            Drawing("predicted", partial(draw_predictions, known), "Worst attacked picture's z: predicted, measured.")
         ],
     )
 
@@ -220,7 +220,7 @@ def _scene_section(scene: str, found: Sequence[Result], rows: Sequence[Row]) -> 
             Drawing(
                 f"bytes-{Path(scene).stem}",
                 partial(draw_bytes_and_seconds, found),
-                "Bytes and seconds against fidelity to the original, mark and losses together; beside what auto "
+                "Bytes and seconds against fidelity to the original, mark and losses together; next to what auto "
                 "chose, the dB that were allowed and the z left after the worst attack.",
             )
         ],

@@ -29,7 +29,7 @@ class Result:
 
     @property
     def worst_attack(self) -> str:
-        """That of the lowest z."""
+        """The attack with the lowest z."""
         return min(self.attacks, key=lambda label: float(self.attacks[label]["z"]))
 
     @property
@@ -40,12 +40,12 @@ class Result:
     @property
     def matching(self) -> int:
         """Bits right, all attacks together."""
-        return sum(told["matching"] for told in self.attacks.values())
+        return sum(after["matching"] for after in self.attacks.values())
 
     @property
     def read(self) -> int:
         """Bits read, all attacks together."""
-        return sum(told["read"] for told in self.attacks.values())
+        return sum(after["read"] for after in self.attacks.values())
 
     @property
     def held_out_db(self) -> float:
@@ -60,15 +60,15 @@ class Result:
     @property
     def picture_bits(self) -> float:
         """Per cent of bits right in attacked pictures, the worst attack."""
-        return min(100.0 * int(told["matching"]) / int(told["read"]) for told in self._attacked_pictures())
+        return min(100.0 * int(after["matching"]) / int(after["read"]) for after in self._attacked_pictures())
 
     @property
     def picture_z(self) -> float:
         """z of the worst attacked picture."""
-        return min(float(told["z"]) for told in self._attacked_pictures())
+        return min(float(after["z"]) for after in self._attacked_pictures())
 
     def _attacked_pictures(self) -> list[Row]:
-        return [told for label, told in self.attacks.items() if label.startswith("picture, ")]
+        return [after for label, after in self.attacks.items() if label.startswith("picture, ")]
 
 
 def results(rows: Sequence[Row]) -> list[Result]:

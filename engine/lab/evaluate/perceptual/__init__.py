@@ -1,1 +1,1 @@
-"""What eyes may notice of a mark (suite 8): key views beside views that had no part in it. Start at `study`."""
+"""What eyes may notice of a mark (suite 8): key views, and held-out views. Start at `study`."""

@@ -1,4 +1,4 @@
-"""The marks of one profile, looked at: key views and views that had no part in shaping the mark."""
+"""The marks of one profile, looked at: key views, and views that did not shape the mark."""
 
 import base64
 import io
@@ -31,7 +31,7 @@ PICTURE_SIDE = 480
 KEPT_QUALITY = 90
 """WebP quality of the pictures kept for the report; nothing is measured on them."""
 COMPARED_QUALITIES = (95, 75)
-"""JPEGs beside which the mark is put: a careful export, and what web pages serve."""
+"""JPEGs with which the mark is compared: a careful export, and what web pages serve."""
 
 
 def look_at_mark(

@@ -55,7 +55,7 @@ def report(rows: list[Row], options: Options) -> Report:
     lines = [(keys[place], own) for place, own in grouped(free, "scene", "profile").items()]
     text = [
         "All metrics are against the unmarked render. Key views shaped the mark and hold its PSNR at "
-        "the target; the other views had no part in it.",
+        "the target; the other views did not.",
         finding + ".",
         *([] if options.lpips_weights else ["LPIPS was not measured: no --lpips-weights were given."]),
     ]
@@ -74,11 +74,11 @@ def report(rows: list[Row], options: Options) -> Report:
 
 def _finding(free: Sequence[Row]) -> str:
     mark = float(np.median([row["flip"] for row in free]))
-    beside = " and ".join(
-        f"{mark / np.median([row[f'jpeg{q}_flip'] for row in free]):.1f} times that of JPEG {q}"
+    ratios = " and ".join(
+        f"{mark / np.median([row[f'jpeg{q}_flip'] for row in free]):.1f} times the FLIP of JPEG {q}"
         for q in COMPARED_QUALITIES
     )
-    return f"The mark's FLIP is {mark:.3f}: {beside}"
+    return f"The mark's FLIP is {mark:.3f}: {ratios}"
 
 
 def _bars(key: Sequence[Row]) -> list[Bar]:
@@ -157,7 +157,7 @@ def _picture(text: str) -> Any:
 
 
 def draw_views(free: Sequence[Row], title: str) -> Figure:
-    """FLIP over PSNR, a mark a view; plain JPEGs of the same views beside."""
+    """FLIP over PSNR, one marker per view; and of plain JPEGs of the same views."""
     drawn, axes = figure()
 
     def points(rows: Sequence[Row], prefix: str, **style: Any) -> None:

@@ -1,4 +1,4 @@
-"""Models that nobody would train and somebody will upload: each is to be marked and verified, or refused in words.
+"""Models that no training gives and some user will upload: each is to be marked and verified, or refused in words.
 
 They go the whole way, from a file: mark, open the record, verify twice; and as suspects of a sound record. Each either
 answers the same each time or is refused in words; a `RuntimeWarning` counts as a fault.

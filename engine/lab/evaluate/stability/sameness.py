@@ -66,7 +66,7 @@ def compare_machines(path: str, quick: bool, seed: int) -> list[Row]:
 
 
 def _compared(answers: dict[str, Row]) -> list[Row]:
-    """Each beside the first: the same bytes; or the same verdict and bits, and nearly the same z."""
+    """Each compared with the first: the same bytes; or the same verdict and bits, and nearly the same z."""
     first = next(iter(answers.values()))
     rows: list[Row] = []
     for name, said in answers.items():

@@ -7,7 +7,7 @@ exactly the same value occurs.
 
 Two attackers. The *stranger* has marked and unmarked models of other scenes. The *insider* is as strong as one can be
 without the very original: of this scene itself he has the unmarked and several marked copies under other keys, but not
-the regions he is asked about.
+the regions that he is tested on.
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ OPPONENT = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.5, 0.5, -1.0]]) / np.
 
 
 def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: int, method: str = "ours") -> list[Row]:
-    """Trained on one half of a scene's regions under `keys` keys, asked about the other half under others; both ways.
+    """Trained on one half of a scene's regions under `keys` keys, tested on the other half under others; both ways.
 
     The mark is "ours" or of a runnable baseline that marks models, at the profile's PSNR. One row a classifier:
     ``auc``, ``low``, ``high``, ``shift``, ``regions``.
@@ -64,17 +64,17 @@ def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: 
     rows = []
     for name, classifier in _classifiers(seed).items():
         score = np.empty(features.shape[:2])
-        for asked in (half, ~half):
-            _fit(classifier, [features[: 1 + keys, ~asked]])
-            score[:, asked] = [_score(classifier, copy[asked]) for copy in features]
-        asked_about = np.concatenate([score[:1], score[1 + keys :]])
+        for held_out in (half, ~half):
+            _fit(classifier, [features[: 1 + keys, ~held_out]])
+            score[:, held_out] = [_score(classifier, copy[held_out]) for copy in features]
+        tested = np.concatenate([score[:1], score[1 + keys :]])
         about = {"scene": Path(path).name, "method": method, "attacker": "insider", "form": form}
-        rows.append({**about, "classifier": name, **_judged([asked_about])})
+        rows.append({**about, "classifier": name, **_judged([tested])})
     return rows
 
 
 def detect_as_stranger(paths: Sequence[str], profile_name: str, form: str, keys: int, seed: int) -> list[Row]:
-    """Trained on all scenes but one, asked about that one, for each; fresh `keys` everywhere.
+    """Trained on all scenes but one, tested on that one, for each; fresh `keys` everywhere.
 
     Rows as of `detect_as_insider`, one a scene and classifier, and one of all scenes together.
     """
@@ -84,9 +84,9 @@ def detect_as_stranger(paths: Sequence[str], profile_name: str, form: str, keys:
     rows = []
     for name, classifier in _classifiers(seed).items():
         scores = []
-        for asked, path in enumerate(paths):
-            _fit(classifier, [f for n, f in enumerate(features) if n != asked])
-            scores.append(np.stack([_score(classifier, copy) for copy in features[asked]]))
+        for held_out, path in enumerate(paths):
+            _fit(classifier, [f for n, f in enumerate(features) if n != held_out])
+            scores.append(np.stack([_score(classifier, copy) for copy in features[held_out]]))
             about = {"method": "ours", "attacker": "stranger", "form": form, "classifier": name}
             rows.append({"scene": Path(path).name, **about, **_judged(scores[-1:])})
         rows.append({"scene": "all", **about, **_judged(scores)})
@@ -226,10 +226,10 @@ def float_born(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
         low = np.concatenate([2 * values[:1] - middle[:1], middle])
         high = np.concatenate([middle, 2 * values[-1:] - middle[-1:]])
         spread = rng.uniform(low[place], high[place])
-        for end, beside, wall, away in ((0, 1, high[0], -1.0), (-1, -2, low[-1], 1.0)):
-            if count[end] > count[beside]:
+        for end, neighbor, wall, away in ((0, 1, high[0], -1.0), (-1, -2, low[-1], 1.0)):
+            if count[end] > count[neighbor]:
                 clipped = place == np.arange(len(values))[end]
-                scale = count[end] / count[beside] * (high[beside] - low[beside])
+                scale = count[end] / count[neighbor] * (high[neighbor] - low[neighbor])
                 tail = rng.exponential(min(scale, LONGEST_TAIL), int(clipped.sum()))
                 spread[clipped] = wall + away * tail
         dc[:, c] = spread

@@ -191,7 +191,7 @@ def _learned_section(rows: Sequence[Row]) -> Section:
         [
             "A classifier sees how the DC colours of a region of about 512 Gaussians differ from their neighbours' at "
             "three sizes, how they are distributed, and how often a value repeats; never a key. The insider has the "
-            "unmarked model and marked copies of this very scene under other keys, and is asked about other regions "
+            "unmarked model and marked copies of this very scene under other keys, and is tested on other regions "
             "under new keys; the stranger knows other scenes only.",
             "Forms: 'floats' is a model trained and delivered in floating point (files of few values are spread over "
             "their cells first); 'own format' is marked and delivered in the format it came in; 'lattice lost' is a "

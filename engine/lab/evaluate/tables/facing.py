@@ -21,7 +21,7 @@ from engine.lab.evaluate.tables.sections.table6 import PAPER as LOSSES_BY_NAME
 from engine.lab.evaluate.tables.stopping import TAUS
 
 MODEL_ATTACKS = ("clone", "prune")
-"""Columns of Table 2 that are said of models; all others of pictures."""
+"""Columns of Table 2 that are about models; all others are about pictures."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ HEADINGS = "| what | the paper | its system, run by us | ours |\n|---|---|---|--
 MISSED = "| table | what | the paper | {} |\n|---|---|---|---|"
 ELSEWHERE = """- Figure 4 shows pictures, no numbers: docs/demo.png and the pages of `mark3dgs demo`.
 - Figure 5 (steganalysis) is the suite `steganalysis`, the other methods' curves are `baselines`.
-- Table 4 by the paper's system: it changes which Gaussians there are, and moving and codebook models do not bear that.
+- Table 4 by the paper's system: it changes which Gaussians there are, and moving and codebook models do not allow that.
 - The other systems' numbers stand in the report of this suite; they are published ones, on other scenes."""
 
 
@@ -229,11 +229,11 @@ def page(rows: Sequence[Row], options: Options) -> str:
         if not missed:
             parts.append("None of those measured.")
             continue
-        told = [
+        missed_rows = [
             f"| {line.table} | {line.what} | {_text(line.paper, line)} | {_text(getattr(line, mine), line)} |"
             for line in missed
         ]
-        parts.append("\n".join([MISSED.format(title.lower()), *told]))
+        parts.append("\n".join([MISSED.format(title.lower()), *missed_rows]))
     for table in dict.fromkeys(line.table for line in made):
         of = [line for line in made if line.table == table]
         parts.append(f"## {table}")

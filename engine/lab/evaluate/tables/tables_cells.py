@@ -53,7 +53,7 @@ ON_MODELS: dict[Label, dict[str, tuple[str, float] | None]] = {
     },
     "as_code": {"crop": ("crop", 0.4), "clone": ("clone", 0.5)},
 }
-"""The same words said of a model. As code: crop drops a block of the file, cloning copies Gaussians as they are."""
+"""The same names for a model. As code: crop drops a block of the file, cloning copies Gaussians as they are."""
 FORMATS = ("ply", "compressed.ply", "splat", "spz", "sog")
 OF_VIEWS = 0x7AB1E
 """Of the stream that draws views."""
@@ -128,7 +128,7 @@ def attack_pictures(
                 if column in columns
             )
             about = {"scene": marked.name, "seed": seed, "on": "picture", "reading": label, "view": view}
-            rows += [{**about, **told} for told in _of_picture(picture, camera, marked, trials, (seed, view, number))]
+            rows += [{**about, **row} for row in _of_picture(picture, camera, marked, trials, (seed, view, number))]
     return rows
 
 

@@ -13,7 +13,7 @@ How the paper's Table 5 (and NeRF Signature's before it) is read here, since the
 
 A fresh model keeps none of the stolen Gaussians, only the look: 1. render the stolen model from views of the attacker's
 choice; 2. lift points from the depths of these renders, or draw them at random, and make round Gaussians of them;
-3. train all parameters on the renders, as on photos. No published result says what becomes of a mark then.
+3. train all parameters on the renders, as on photos. No published result says whether a mark survives that.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -67,7 +67,7 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base color, the most populous first.
 
     `color_weight` is how much a unit of color (black to white) counts, in robust radii of the model; 0 segments by
-    position alone. Segments may be empty where the model holds fewer distinct Gaussians than the `count` asked for.
+    position alone. Segments may be empty where the model holds fewer distinct Gaussians than `count`.
     """
     from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
     from scipy.spatial import cKDTree
@@ -99,7 +99,7 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
 def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bool:
     """(N,) bool: Gaussians of the segments (see `segment`) in which points (3,) or (n, 3) lie.
 
-    Each point speaks for the segment of the nearest Gaussian.
+    Each point stands for the segment of the nearest Gaussian.
     """
     from scipy.spatial import cKDTree
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Uint8 = npt.NDArray[np.uint8]
 
-ACCENT = (46, 204, 137)  # color of the stroke beside a caption, RGB
+ACCENT = (46, 204, 137)  # color of the stroke next to a caption, RGB
 _INK, _FAINT = (255, 255, 255), (205, 211, 218)
 _SHADE, _OPACITY = np.array([14.0, 18.0, 24.0]), 0.72
 _WEBP_QUALITY = 82

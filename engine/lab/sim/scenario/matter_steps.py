@@ -43,7 +43,7 @@ def read_ball(table: Table, name: str) -> tuple[float, ...] | None:
         return None
     ball = table.vector(name, None, 4)
     if not ball[3] > 0.0:
-        raise InputError(f"{table.place}: {name} = [x, y, z, radius] wants a positive radius, got {ball[3]:g}")
+        raise InputError(f"{table.place}: {name} = [x, y, z, radius] needs a positive radius, got {ball[3]:g}")
     return ball
 
 

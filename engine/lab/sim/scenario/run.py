@@ -1,6 +1,6 @@
 """The run of a scenario: one step after the other, a verification and a picture after each.
 
-1. Load the objects; mark those that want a mark.   3. After each, look for every record in what is left.
+1. Load the objects; mark those to be marked.       3. After each, look for every record in what is left.
 2. Carry the steps out in their order.              4. Show it: a picture a step, a film of all.
 """
 

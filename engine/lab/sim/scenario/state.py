@@ -25,7 +25,7 @@ Advance = Callable[[float], None]
 """Called with the fraction of a step that is done."""
 
 EVERYTHING = "everything"  # name of the one object that is left when a step treats the whole file as one
-MARGIN = 1.3  # distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too
+MARGIN = 1.3  # distance at which the robust sphere just fits, times this: what lies outside the sphere needs room, too
 
 
 @dataclass(frozen=True, eq=False)

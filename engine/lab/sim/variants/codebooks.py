@@ -12,7 +12,7 @@ from engine.scenes.codebook_model import GROUPS, CodebookModel
 __all__ = ["make_codebook"]
 
 CODES = {"dc": 4096, "sh": 4096, "scale": 4096, "rot": 4096}
-"""Codes of each group where `make_codebook` is not told: the smaller of the paper's settings."""
+"""Codes of each group by default: the smaller of the paper's settings."""
 
 
 def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, *, seed: int = 0) -> CodebookModel:

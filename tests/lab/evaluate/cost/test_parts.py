@@ -72,9 +72,9 @@ def test_roofline_arithmetic() -> None:
         "gaussians": 5,
         "threads": 2,
     }
-    told = _roofline(raster, bandwidth=1e9, flops=1e12)
+    output = _roofline(raster, bandwidth=1e9, flops=1e12)
     moved = 48 * 1_000 + 16 * 10_000
-    assert told["flops_per_byte"] == pytest.approx(32 * 1e6 / moved)
-    assert told["achieved_flops"] == pytest.approx(3.2e9)
-    assert told["attainable_flops"] == pytest.approx(1e9 * 32 * 1e6 / moved)
-    assert told["fraction"] == pytest.approx(3.2e9 / told["attainable_flops"])
+    assert output["flops_per_byte"] == pytest.approx(32 * 1e6 / moved)
+    assert output["achieved_flops"] == pytest.approx(3.2e9)
+    assert output["attainable_flops"] == pytest.approx(1e9 * 32 * 1e6 / moved)
+    assert output["fraction"] == pytest.approx(3.2e9 / output["attainable_flops"])

@@ -49,8 +49,8 @@ def test_what_changes_the_delivered_model_has_landmarks_of_its_own() -> None:
 
 
 def row(point: Point, seconds: float, z: float, *, bits: int = 32, db: float = 46.0) -> dict[str, Any]:
-    told = {"z": 99.0, "bit_accuracy": 1.0, "matching": 32, "read": 32, "log10_false_claim": -100.0}
-    attacks: dict[str, Any] = {trial.label: dict(told) for trial in ATTACKS}
+    base = {"z": 99.0, "bit_accuracy": 1.0, "matching": 32, "read": 32, "log10_false_claim": -100.0}
+    attacks: dict[str, Any] = {trial.label: dict(base) for trial in ATTACKS}
     attacks["picture, JPEG 10"] |= {"z": z, "matching": bits}
     return {
         "point": asdict(point),
@@ -93,8 +93,8 @@ def test_sums_and_the_cheapest_that_will_do() -> None:
 def test_bytes_and_seconds_against_fidelity_name_what_auto_chose() -> None:
     allowed = [Point(f"allowed-{db:g}", "allowance", AUTO, {"budget": db}) for db in (40.0, 30.0)]
     rows = [row(point, 2.0, 20.0 + n) for n, point in enumerate([BASE, *allowed])]
-    for told, size, quality in zip(rows, (4e6, 3e6, 1e6), (47.0, 39.0, 29.5), strict=True):
-        told |= {"sog_bytes": size, "psnr_total_held_out": quality}
+    for base, size, quality in zip(rows, (4e6, 3e6, 1e6), (47.0, 39.0, 29.5), strict=True):
+        base |= {"sog_bytes": size, "psnr_total_held_out": quality}
     drawn = draw_bytes_and_seconds(results(rows))
     left, right = drawn.axes
     assert [text.get_text() for text in left.texts] == ["30, z 22", "40, z 21"]

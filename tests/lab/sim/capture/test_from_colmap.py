@@ -24,9 +24,9 @@ CONFIG = TrainConfig(steps=150, sh_degree=1, densify=DensifyConfig(first=0.1, ev
 def test_train_on_some_and_compare_with_the_rest(tmp_path: Path) -> None:
     cameras = orbit(12)
     images = write_colmap(tmp_path, TRUTH, cameras)
-    told: list[tuple[str, float]] = []
+    reports: list[tuple[str, float]] = []
     capture = train_from_colmap(
-        tmp_path, images, hold_out=6, config=CONFIG, progress=lambda stage, part: told.append((stage, part))
+        tmp_path, images, hold_out=6, config=CONFIG, progress=lambda stage, part: reports.append((stage, part))
     )
     assert [capture.photos.names[k] for k in capture.photos.held_out] == ["p03.png", "p09.png"]
     assert len(capture.psnr) == 12
@@ -36,8 +36,8 @@ def test_train_on_some_and_compare_with_the_rest(tmp_path: Path) -> None:
     assert capture.psnr[3] > untrained + 5
     assert capture.psnr_held_out == pytest.approx(np.mean([capture.psnr[3], capture.psnr[9]]))
     assert capture.psnr_trained > capture.psnr_held_out > 20
-    assert {stage for stage, _ in told} == {"photos", "train", "compare"}
-    assert told[-1] == ("compare", 1.0)
+    assert {stage for stage, _ in reports} == {"photos", "train", "compare"}
+    assert reports[-1] == ("compare", 1.0)
 
 
 def _points(folder: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Training: it learns what it is shown, in every way it is told to, and the same way every time."""
+"""Training: it learns its images, in every setting, and the same way every time."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ def test_the_same_bytes_from_the_same_seed_on_any_thread_count() -> None:
 def test_a_pickled_training_goes_on_where_it_was() -> None:
     straight = train(points(), CAMERAS, PHOTOS, FIXED)
     trainer = Trainer(points(), CAMERAS, PHOTOS, FIXED)
-    told: list[float] = []
-    trainer.run(told.append, until=17)
+    reports: list[float] = []
+    trainer.run(reports.append, until=17)
     assert trainer.done == 17
-    assert told[-1] == pytest.approx(17 / 40)
+    assert reports[-1] == pytest.approx(17 / 40)
     assert same(pickle.loads(pickle.dumps(trainer)).run(), straight)
 
 

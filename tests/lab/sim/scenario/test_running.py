@@ -60,13 +60,13 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, list[StepResu
     path = tmp_path_factory.mktemp("scenario") / "s.toml"
     path.write_text(STEPS)
     path.with_name("plant.splat").write_bytes(sparse_plant())
-    told: list[StepResult] = []
-    return run_scenario(read_scenario(path), on_result=told.append), told
+    reports: list[StepResult] = []
+    return run_scenario(read_scenario(path), on_result=reports.append), reports
 
 
 def test_every_step_was_read(played: tuple[Run, list[StepResult]]) -> None:
-    run, told = played
-    assert [result.label for result in run.results] == [result.label for result in told]
+    run, reports = played
+    assert [result.label for result in run.results] == [result.label for result in reports]
     verdicts = [found.verdict for result in run.results for found in result.findings]
     assert verdicts[:4] == ["marked"] * 4
     assert verdicts[-1] != "marked"  # what was taken out is not found

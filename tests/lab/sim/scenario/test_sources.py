@@ -1,4 +1,4 @@
-"""Photos without poses and scans without a path: what finds those is asked, and what it answers is used.
+"""Photos without poses and scans without a path: what finds those is called, and its result is used.
 
 pycolmap and KISS-ICP are extras; stand-ins of the same interface answer for them here.
 """
@@ -65,19 +65,19 @@ def test_odometry_gives_the_path_in_scene_units(monkeypatch: pytest.MonkeyPatch)
 
 def test_photos_without_poses_are_placed_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     photos = write_colmap(tmp_path, shell(), orbit(6))
-    asked = []
+    calls = []
 
     def reconstruct(folder: Path, work: str, **settings: Any) -> pose_estimation.Structure:
-        asked.append(folder)
+        calls.append(folder)
         return pose_estimation.Structure(tmp_path, photos=6, photos_placed=5, reprojection_error=0.5)
 
     monkeypatch.setattr(sources, "reconstruct", reconstruct)
     text = f'[[objects]]\nname = "a"\nphotos = "{photos}"\nsize = 64\nsteps = 3\nbits = 0\nhold_out = 0\n'
     (tmp_path / "s.toml").write_text(text)
     world, notes = load_world(read_scenario(tmp_path / "s.toml").parts, 0, lambda stage, part: None)
-    assert asked == [photos]
+    assert calls == [photos]
     assert "placed 5 of 6 photos" in notes[0]
     known = sources.Photos(photos, tmp_path, 64, 3, 0)
     again = sources.load_source(known, "a", "as it is", 0, lambda stage, part: None)
-    assert len(asked) == 1  # poses that are known are not looked for
+    assert len(calls) == 1  # poses that are known are not looked for
     np.testing.assert_array_equal(again.loaded.model.means, world.objects["a"].means)

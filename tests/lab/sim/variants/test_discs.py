@@ -55,7 +55,7 @@ def test_every_step_brings_the_discs_closer(plant: GaussianModel, made: Gaussian
 
 
 def test_widening_adds_the_dilation() -> None:
-    """A disc that faces the camera gets 0.3 square pixels; nobody sees the one behind it."""
+    """A disc that faces the camera gets 0.3 square pixels; the one behind it is hidden."""
     disc = GaussianModel(
         np.array([[0, 0, 2.0], [0, 0, -2.0]]),
         np.log([[0.01, 0.02, 1e-8]] * 2),

@@ -145,5 +145,5 @@ def test_key_times_are_spread(clip: SpacetimeModel) -> None:
 
 def test_a_still_record_commits_to_no_motion(clip: SpacetimeModel, marked_clip: Marked) -> None:
     still = replace(marked_clip[2], commitments={})
-    with pytest.raises(InputError, match="stands still"):
+    with pytest.raises(InputError, match="static scene"):
         move_record(still, clip, 0.5)

@@ -75,7 +75,7 @@ def section(rows: list[Row], options: Options) -> Section:
             "The paper prunes by a fixed aggressiveness (gamma 0.2: 60 to 70 % of the model; above 0.3 over 80 "
             "%, and bits fall) and scales the mark by zeta (0.6 best). Here pruning stops at the owner's budget "
             "in dB whatever gamma is, which then only says how evenly it is spread; zeta's place is taken by the "
-            "fidelity the owner asks for. A picture's z is against its own pruned reference.",
+            "fidelity the owner requires. A picture's z is against its own pruned reference.",
             INTERVALS,
         ],
         [knob_table(panels.values(), rows), shares],

@@ -47,7 +47,7 @@ def section(rows: list[Row], options: Options) -> Section:
             f"`--profile paper`, {as_paper.STEPS} Adam steps where nothing else is said, the strength solved again "
             "after them. Bits of the model are read by the paper's rule (Eq 10 and 11) and by our decoder, from one "
             "evidence.",
-            "The table that stands beside the paper's own numbers is PAPER.md of the suite `tables`.",
+            "The table that compares with the paper's own numbers is PAPER.md of the suite `tables`.",
         ],
         [shown],
     )

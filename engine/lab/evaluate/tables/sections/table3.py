@@ -7,7 +7,7 @@ from engine.lab.evaluate.summary import picked, table
 from engine.lab.evaluate.tables.part import MEASURING, PUBLISHED, Part, changes_of, printed_table, scenes_of
 
 LARGE = 400_000
-"""Gaussians from which a scene speaks for the bars, which are meant for 500k."""
+"""Gaussians from which a scene counts for the bars, which are meant for 500k."""
 EMBED_BARS, VERIFY_BAR, BYTES_BAR = {"fast": 15.0, "balanced": 45.0}, 3.0, 20.0
 
 

@@ -37,7 +37,7 @@ LOSSES = {
 }
 """Weights of the message, the pictures and their wavelets."""
 PAPER = {"unmarked": "none", "loss-msg": "msg", "loss-msg-rec": "msg+rec", "loss-text": "msg+rec+wavelet"}
-"""Rows of the paper's table that ours stand beside."""
+"""Rows of the paper's table that are compared with ours."""
 
 
 def refined(name: str, msg: float, rec: float, wavelet: float, *, quick: bool = False) -> Setting:
