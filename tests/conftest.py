@@ -1,11 +1,14 @@
 """Several pytest processes share the machine: each keeps to one thread, so do the children that it starts."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
+
+from engine.flows.verify.config import CONFIG
 
 TESTS = Path(__file__).parent
 PAGE = "tests/service/web/"
@@ -82,4 +85,5 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @pytest.fixture
 def small_renders(monkeypatch: pytest.MonkeyPatch) -> None:
     """Renders of suspects a quarter as large, for tests that ask what is said of them and not how much they say."""
-    monkeypatch.setattr("engine.flows.verify.suspect_evidence.RENDER_SIZE", 256)
+    small = replace(CONFIG.evidence, render_size=256)
+    monkeypatch.setattr("engine.flows.verify.suspect_evidence._CONFIG", small)

@@ -15,29 +15,23 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from engine.catalogue.config import CONFIG
 from engine.catalogue.entry import Entry
 from engine.catalogue.neighbors import Growing, Neighbors
 from engine.model import Float32, Float64, Int64
 from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma
-from engine.registration.sketch import ALIKE, LOOK_ERRORS, Sketch, SuspectIndex
+from engine.registration.config import CONFIG as REGISTRATION
+from engine.registration.sketch import LOOK_ERRORS, Sketch, SuspectIndex
 
 __all__ = ["Catalogue", "Likeness", "screen_model", "screen_pictures"]
 
-LOOKS = 512
-"""Gaussians of a sketch that the index knows."""
-PLACE_SPREAD = np.array([0.2, 0.2, 0.2, 0.2, 0.15, 0.12, 0.27, 0.05, 0.05, 0.05] * 2, dtype=np.float32)
-"""By which features of places are measured: their spread over seven real scenes."""
+PLACE_SPREAD = np.array(CONFIG.place_spread * 2, dtype=np.float32)
+"""(20,) `place_spread` at both scales."""
 FIELDS = {"looks": (len(LOOK_ERRORS), "Flat"), "places": (len(PLACE_SPREAD), "Flat"), "seen": (128, "SQ4")}
 """Length of vectors, and how FAISS keeps them where they are many: in 24, 80 and 64 bytes."""
-TEACHERS = 200
-"""Assets from which the lists are learnt, at most."""
-KEYPOINTS = 1500
-"""Of a picture, the strongest."""
 VIEWS = 1 << 14
 """More than an asset has: views of all assets are numbered through."""
-LOUDEST = 400
-"""Views whose votes are looked at for agreement."""
 
 
 class Sketches:
@@ -82,8 +76,8 @@ class Catalogue:
 
     @classmethod
     def build(cls, names: Sequence[str], load: Callable[[str], Entry]) -> Catalogue:
-        """The index of many assets; each entry is loaded once, those of TEACHERS twice."""
-        chosen = np.random.default_rng(0).permutation(len(names))[:TEACHERS]
+        """The index of many assets; each entry is loaded once, those of `teachers` twice."""
+        chosen = np.random.default_rng(0).permutation(len(names))[: CONFIG.teachers]
         vectors = [_vectors(load(names[i])) for i in np.sort(chosen)]
         fields = {}
         for field, (length, codec) in FIELDS.items():
@@ -131,11 +125,11 @@ class Catalogue:
         return [self.names[number] for number in dict.fromkeys(turns)]
 
     def like_pictures(self, pictures: Sequence[Float32]) -> list[tuple[str, float]]:
-        """The assets that pictures (h, w, 3), 0..1, of one and the same may show, the likeliest first, and how loud
+        """The assets that pictures (h, w, 3), 0..1, of one asset may show, the likeliest first, and how loud
         the votes are that agree."""
         total = np.zeros(len(self))
         for picture in pictures:
-            keypoints = detect_keypoints(luma(picture), KEYPOINTS)
+            keypoints = detect_keypoints(luma(picture), CONFIG.keypoints)
             hands = keypoints, keypoints.turned_over(picture.shape[1])
             total += np.maximum(*(self._agreement(hand.points, hand.descriptors) for hand in hands))
         order = np.argsort(-total, kind="stable")[: (total > 0).sum()]
@@ -154,7 +148,7 @@ class Catalogue:
         view = self._views.whole[votes.row]
         names, of = np.unique(view, return_inverse=True)
         loud = np.zeros(len(names), dtype=bool)
-        loud[np.argsort(-np.bincount(of, votes.gain), kind="stable")[:LOUDEST]] = True
+        loud[np.argsort(-np.bincount(of, votes.gain), kind="stable")[: CONFIG.loudest]] = True
         mine = loud[of]
         seen, agree, _ = agreement_of_views(
             view[mine],
@@ -186,17 +180,9 @@ class Catalogue:
 def _vectors(entry: Entry) -> dict[str, Float32]:
     """What each field of the index knows of an asset."""
     sketch = entry.sketch
-    rows = np.linspace(0, len(sketch) - 1, min(LOOKS, len(sketch))).astype(np.int64)
+    rows = np.linspace(0, len(sketch) - 1, min(CONFIG.looks, len(sketch))).astype(np.int64)
     seen = np.zeros((0, 128), np.float32) if entry.seen is None else entry.seen.descriptors.astype(np.float32)
     return {"looks": sketch.looks[rows] / LOOK_ERRORS, "places": sketch.coarse.features / PLACE_SPREAD, "seen": seen}
-
-
-COMPARED = 32
-"""Assets whose sketches are compared with a model, 5 to 15 ms each; as many again while there are alike ones among
-them, so that near copies of an asset cannot hide it."""
-MOST_COMPARED = 256
-SHOWN = 2.0
-"""Agreeing votes from which a picture shows an asset. Among 1,000 assets others had up to 0.83 in 360 pictures."""
 
 
 @dataclass(frozen=True)
@@ -212,10 +198,10 @@ def screen_model(catalogue: Catalogue, suspect: SuspectIndex, among: Container[s
     """The likeliest assets that a model comes from, of those in question (all where None), the likeliest first."""
     names = [name for name in catalogue.like_model(suspect) if among is None or name in among]
     found: list[Likeness] = []
-    for begin in range(0, min(len(names), MOST_COMPARED), COMPARED):
-        votes = [(name, suspect.resemblance(catalogue.sketch(name))) for name in names[begin : begin + COMPARED]]
-        found += [Likeness(name, float(count), count >= ALIKE) for name, count in votes]
-        if max(count for _, count in votes) < ALIKE:
+    for begin in range(0, min(len(names), CONFIG.most_compared), CONFIG.compared):
+        votes = [(name, suspect.resemblance(catalogue.sketch(name))) for name in names[begin : begin + CONFIG.compared]]
+        found += [Likeness(name, float(count), count >= REGISTRATION.sketch.alike) for name, count in votes]
+        if max(count for _, count in votes) < REGISTRATION.sketch.alike:
             break
     return sorted(found, key=lambda each: -each.votes)
 
@@ -223,7 +209,7 @@ def screen_model(catalogue: Catalogue, suspect: SuspectIndex, among: Container[s
 def screen_pictures(
     catalogue: Catalogue, pictures: Sequence[Float32], among: Container[str] | None = None
 ) -> list[Likeness]:
-    """The assets that pictures of one and the same may show, the likeliest first; those that no vote speaks for are
+    """The assets that pictures of one asset may show, the likeliest first; those that no vote speaks for are
     left out."""
     ranked = catalogue.like_pictures(pictures)
-    return [Likeness(name, votes, votes >= SHOWN) for name, votes in ranked if among is None or name in among]
+    return [Likeness(name, votes, votes >= CONFIG.shown) for name, votes in ranked if among is None or name in among]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from engine.catalogue.config import CONFIG
 from engine.errors import FormatError
 from engine.model import Camera, Float32, Int64
 from engine.pictures.camera.camera_motion import project
@@ -18,17 +19,9 @@ from engine.registration.sketch import Sketch
 
 __all__ = ["Entry", "SeenPoints", "see_points"]
 
-POINTS = 2880
-"""Most points of an asset, as many of each view: 132 bytes a point make 380 kB."""
 MOST_POINTS = 1 << 16
 """More are no entry of ours."""
 
-SAME_PLACE = 4.0
-"""How far apart landmarks of two views lie that are one, pixels at the usual distance."""
-SAME_LOOK = 300.0
-"""How far apart their descriptors are, at most: those of two places are 380 to 450 in the median."""
-NEIGHBORS = 16
-"""Landmarks near one that are compared, itself among them."""
 
 _MAGIC = b"M3DGSEN1"
 _PREFIX = struct.Struct("<8sII")
@@ -86,7 +79,7 @@ class Entry:
 def see_points(landmarks: Landmarks, cameras: Sequence[Camera]) -> SeenPoints:
     """The landmarks of every view that most other views show, too, where it showed them; the strongest of those that
     as many do. `cameras` are those the landmarks were made from."""
-    most = POINTS // max(len(cameras), 1)
+    most = CONFIG.points // max(len(cameras), 1)
     shown = _views_of_each(landmarks, cameras)
     rows = [np.flatnonzero(landmarks.views == view) for view in range(len(cameras))]
     rows = [np.sort(mine[np.argsort(-shown[mine], kind="stable")[:most]]) for mine in rows]
@@ -104,13 +97,14 @@ def _views_of_each(landmarks: Landmarks, cameras: Sequence[Camera]) -> Int64:
         return np.zeros(0, np.int64)
     eyes = np.array([camera.position for camera in cameras])
     distance = np.median(np.linalg.norm(landmarks.points - eyes[landmarks.views], axis=1))
-    reach = SAME_PLACE * distance / cameras[0].K[0, 0]
-    _, near = scipy.spatial.cKDTree(landmarks.points).query(landmarks.points, NEIGHBORS, distance_upper_bound=reach)
+    reach = CONFIG.same_place * distance / cameras[0].K[0, 0]
+    tree = scipy.spatial.cKDTree(landmarks.points)
+    _, near = tree.query(landmarks.points, CONFIG.neighbors, distance_upper_bound=reach)
     descriptors = landmarks.descriptors.astype(np.float32)
     shown_by = np.zeros((len(landmarks), len(cameras)), dtype=bool)
     for column in near.T:
         row = np.flatnonzero(column < len(landmarks))
         other = column[row]
-        alike = np.linalg.norm(descriptors[row] - descriptors[other], axis=1) < SAME_LOOK
+        alike = np.linalg.norm(descriptors[row] - descriptors[other], axis=1) < CONFIG.same_look
         shown_by[row[alike], landmarks.views[other[alike]]] = True
     return np.asarray(shown_by.sum(axis=1))

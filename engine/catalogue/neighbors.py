@@ -15,20 +15,13 @@ import faiss
 import numpy as np
 import numpy.typing as npt
 
+from engine.catalogue.config import CONFIG
 from engine.model import Float32, Float64, Int64
 
 __all__ = ["Growing", "Neighbors", "Votes"]
 
-NEAREST = 8
-"""Neighbors that are counted; the next one is the yardstick."""
-FEW = 40_000
-"""Vectors that are compared one by one."""
 PER_LIST = 39
 """Least vectors to learn the middle of a list from, FAISS's own demand."""
-MOST_LISTS, PROBES = 2048, 16
-"""Lists that vectors are sorted into, and how many of them are searched."""
-LESSONS = 8
-"""Rounds in which the middles are learnt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +68,13 @@ class Neighbors:
         """An empty one for about `expected` vectors like those of the sample (S, d); `codec` is how FAISS keeps each
         where they are many."""
         dimensions = sample.shape[1]
-        lists = 1 << max(0, min(MOST_LISTS, len(sample) // PER_LIST).bit_length() - 1)
-        if expected <= FEW or lists < PROBES:
+        lists = 1 << max(0, min(CONFIG.most_lists, len(sample) // PER_LIST).bit_length() - 1)
+        if expected <= CONFIG.few or lists < CONFIG.probes:
             return cls(faiss.IndexFlatL2(dimensions), np.zeros(0, np.int32))
         index: Any = faiss.index_factory(dimensions, f"IVF{lists},{codec}")
-        index.cp.niter = LESSONS
+        index.cp.niter = CONFIG.lessons
         index.train(np.ascontiguousarray(sample, dtype=np.float32))
-        index.nprobe = PROBES
+        index.nprobe = CONFIG.probes
         return cls(index, np.zeros(0, np.int32))
 
     def __len__(self) -> int:
@@ -98,13 +91,14 @@ class Neighbors:
         none = np.zeros(0, dtype=np.int64)
         if not len(self) or not len(queries):
             return Votes(none, none, np.zeros(0))
-        squares, rows = self._index.search(np.ascontiguousarray(queries, dtype=np.float32), NEAREST + 1)
+        most = CONFIG.nearest
+        squares, rows = self._index.search(np.ascontiguousarray(queries, dtype=np.float32), most + 1)
         distance = np.sqrt(np.maximum(squares, 0.0, dtype=np.float64))
         counted = (rows >= 0).sum(axis=1)
         yardstick = distance[np.arange(len(rows)), np.maximum(counted - 1, 0)]
-        gain = 1.0 - distance[:, :NEAREST] / np.maximum(yardstick, 1e-12)[:, None]
-        gain = np.where(counted[:, None] == NEAREST + 1, gain, (distance[:, :NEAREST] == 0).astype(np.float64))
-        query, column = np.nonzero((rows[:, :NEAREST] >= 0) & (gain > 0))
+        gain = 1.0 - distance[:, :most] / np.maximum(yardstick, 1e-12)[:, None]
+        gain = np.where(counted[:, None] == most + 1, gain, (distance[:, :most] == 0).astype(np.float64))
+        query, column = np.nonzero((rows[:, :most] >= 0) & (gain > 0))
         return Votes(query, rows[query, column].astype(np.int64), gain[query, column])
 
     def by_asset(self, votes: Votes, assets: int) -> Float64:
@@ -125,5 +119,5 @@ class Neighbors:
         """What `save` wrote; the vectors stay on disk until they are looked at, unless more are to come."""
         index: Any = faiss.read_index(str(path.with_suffix(".faiss")), 0 if growing else faiss.IO_FLAG_MMAP_IFC)
         if hasattr(index, "nprobe"):
-            index.nprobe = PROBES
+            index.nprobe = CONFIG.probes
         return cls(index, np.load(path.with_suffix(".owner.npy")))

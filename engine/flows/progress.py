@@ -19,7 +19,7 @@ class Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time one stage; the same name adds up."""
+        """Time one stage; the seconds of one name add up."""
         began = time.perf_counter()
         self._stage = name
         self.advance(0.0)

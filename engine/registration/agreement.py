@@ -10,30 +10,12 @@ from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.chi_square import chi_square_beyond
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
 from engine.registration.match_classes import Growth, SizedMatcher, growth_in_order
 from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
 
-ROUNDS = 8
-"""Rounds of match, fit and re-measure; exact suspects need one, noisy ones four or five."""
-ORDER_SAMPLE = 4000
-"""Pairs looked at to tell whether the order was kept."""
-GLANCE = 250
-"""Suspect Gaussians on which a hypothesis is dismissed without further work."""
-CLIPPED = 0.001
-"""Share of the reference's Gaussians smaller than the suspect's smallest from which sizes are believed clipped."""
-ORDER_ROUNDS = 4
-"""Rounds of measuring errors on the pairs in order that agree; where half are wrong, the first is far too large."""
-AROUND = 8
-"""Places up or down an order in which a namesake may stand."""
-FAR_MORE_ALIKE = 0.05
-"""Of the squared difference in looks; by chance one in some hundred neighbors is."""
-MOVED_UP = 0.3
-"""Share of such rows beyond which the order was not kept."""
-STRAYS = 0.001
-"""Share of pairs in order without trust that are not searched elsewhere: laying the reference out costs most time."""
-DECOYS = 3
-"""Wrong similarities of equal scale at the same place; the right one must explain more than each."""
+_CONFIG = CONFIG.confirmation
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +55,7 @@ def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity
     """
     smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
     below = float(np.logical_or.reduce((reference.log_scales < smallest).T).mean())
-    return smallest if below > CLIPPED else -np.inf
+    return smallest if below > _CONFIG.clipped else -np.inf
 
 
 def confirm_similarity(
@@ -106,8 +88,8 @@ def confirm_similarity(
     as_laid_out = deviations is floor and floor.smallest == floor_matcher.deviations.smallest
     matcher = floor_matcher if as_laid_out else Matcher(reference, deviations)
     part = suspect.take(rows)
-    if inliers is not None and len(rows) > 4 * GLANCE:
-        glance = part.take(np.arange(0, len(rows), len(rows) // GLANCE))
+    if inliers is not None and len(rows) > 4 * _CONFIG.glance:
+        glance = part.take(np.arange(0, len(rows), len(rows) // _CONFIG.glance))
         if not beats_decoys(reference, glance, matcher, fit, deviations, rng, 1.5, 2.0):
             return None
     refined = _refine(reference, part, fit, matcher, deviations, floor, spread, min_matches)
@@ -131,7 +113,7 @@ def _refine(
     """Match, fit and measure errors until these settle; None where too few Gaussians match, or errors get as large as
     the model."""
     pairs = paired(matcher.match(part, fit, deviations))
-    for _ in range(ROUNDS):
+    for _ in range(_CONFIG.rounds):
         if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian support a similarity once
             return None
         better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
@@ -185,7 +167,7 @@ def beats_decoys(
     if explained <= margin:
         return False
     middle = np.median(reference.means[right.index[right.index >= 0]].astype(np.float64), axis=0)
-    for _ in range(DECOYS):
+    for _ in range(_CONFIG.decoys):
         axis = rng.normal(size=3)
         half = 0.5 * rng.uniform(0.5, 2.5)
         turn = quaternion_to_rotation([np.cos(half), *(np.sin(half) / np.linalg.norm(axis) * axis)])
@@ -204,7 +186,7 @@ def same_order(
     Two scenes sorted along the same space-filling curve agree roughly in position by accident. So the pairs
     must agree in size, opacity and colour, too, by far better than shuffled pairs do.
     """
-    rows = sample_rows(len(reference), ORDER_SAMPLE, rng)
+    rows = sample_rows(len(reference), CONFIG.order.sample, rng)
     ref, sus = reference.take(rows), suspect.take(rows)
     fit = fit_suspect(sus.means, ref.means)
     if fit is None:
@@ -223,10 +205,10 @@ def same_order(
     looks = [yes for yes, counts in zip(agrees[1:], informative[1:], strict=True) if counts]
     if not (informative[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
         return None
-    if _moved_up(reference, suspect, rows) > MOVED_UP:
+    if _moved_up(reference, suspect, rows) > CONFIG.order.moved_up:
         return None
     before = 0
-    for _ in range(ORDER_ROUNDS):
+    for _ in range(CONFIG.order.rounds):
         agreeing = rows[_order_quality(ref, sus, fit, deviations) > 0]
         if len(agreeing) in (len(rows), before):
             break
@@ -237,25 +219,25 @@ def same_order(
     quality = _order_quality(reference, suspect, fit, deviations, growth)
     # A file sorted along a curve, and sorted again after it was turned a little, keeps half of its order.
     strays = float((quality == 0).mean())
-    matcher = None if strays <= STRAYS else Matcher(reference, deviations)
+    matcher = None if strays <= CONFIG.order.strays else Matcher(reference, deviations)
     return Verdict(fit, matcher, deviations, quality)
 
 
 def _moved_up(reference: GaussianModel, suspect: GaussianModel, rows: npt.NDArray[np.int64]) -> float:
-    """Share of rows of which a neighbor in the reference's order looks far more alike than their namesake.
+    """Share of rows of which a neighbor in the reference's order looks far more alike than their own partner.
 
     A file sorted along a curve, and sorted again after every center moved a little, keeps its order but for a few
-    places everywhere: namesakes then lie near each other and look alike, as a noisy copy's do.
+    places everywhere: partners then lie near each other and look alike, as a noisy copy's do.
     """
     theirs = _own_looks(suspect, rows)
     apart = np.square(_own_looks(reference, rows) - theirs).sum(axis=1)
     nearest = np.full(len(rows), np.inf)
-    for step in (*range(-AROUND, 0), *range(1, AROUND + 1)):
-        beside = rows + step
-        inside = (beside >= 0) & (beside < len(reference))
-        gap = np.square(_own_looks(reference, np.where(inside, beside, 0)) - theirs).sum(axis=1)
+    for step in (*range(-CONFIG.order.reach, 0), *range(1, CONFIG.order.reach + 1)):
+        shifted = rows + step
+        inside = (shifted >= 0) & (shifted < len(reference))
+        gap = np.square(_own_looks(reference, np.where(inside, shifted, 0)) - theirs).sum(axis=1)
         nearest = np.where(inside, np.minimum(nearest, gap), nearest)
-    return float((nearest < FAR_MORE_ALIKE * apart).mean())
+    return float((nearest < CONFIG.order.far_more_alike * apart).mean())
 
 
 def _own_looks(model: GaussianModel, rows: npt.NDArray[np.int64]) -> Float32:

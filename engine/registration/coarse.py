@@ -21,36 +21,18 @@ import numpy as np
 from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import SH_C0, Float32, Float64, GaussianModel, Int64
 from engine.numerics.similarity import MIRROR
+from engine.registration.config import CONFIG
 from engine.registration.hypotheses import chance_table
-from engine.registration.match_kernels import Agreement, Pairs, best_triples, evidence
+from engine.registration.match_kernels import Pairs, best_triples, evidence
 
 __all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 
-
+_CONFIG = CONFIG.coarse
 FEATURES = 20
 """Of each of two scales: mean colour (3), spreads along the principal axes (3), distance of the centroid from the
 place, gradients of the three colours."""
-NEIGHBORHOOD = 0.2
-"""Standard deviation of the window about a place, in extents of the model; the finer scale has half of it."""
-VOXEL, APART = 0.2, 1 / 3
-"""Side of a voxel, and distance between places, in neighbourhoods."""
-REACH = 2.5
-"""Where a window ends, in neighbourhoods."""
-LEAST_VOXELS = 8
-"""Voxels within reach of a place, below which it is not described."""
-LADDER = 1.25
-"""Step between the sizes of neighbourhood that a suspect is described at."""
-MOST_GAUSSIANS = 300_000
-"""Of a larger model so many are looked at: averages over hundreds do not need all."""
 MOST_CELLS = float(1 << 20)
 """Voxels along an axis on either side of the middle; what lies further out counts as there."""
-SIZE, EDGE = 0.25, 0.25
-"""How exactly two pairs of places agree about the scale: a step of the ladder either way."""
-SEEDS, DRAWS = 32, 32
-"""Pairs about which triples are drawn, and triples about each."""
-SHUFFLES = 3
-LEAST_SPREAD = 0.01
-"""Smallest spread of a feature by which it is measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,24 +83,24 @@ def _moments(mass, where, color, places, window, reach, out, count, call):
 def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
     """At most `most` places all over a model for each of `steps` sizes of neighbourhood, the smallest first; none where
     the model has no extent."""
-    if len(model) > MOST_GAUSSIANS:
-        model = model.take(np.arange(0, len(model), -(-len(model) // MOST_GAUSSIANS)))
+    if len(model) > _CONFIG.most_gaussians:
+        model = model.take(np.arange(0, len(model), -(-len(model) // _CONFIG.most_gaussians)))
     mass = _mass(model)
     extent = _extent(model.means, mass)
     matter = mass, model.means.astype(np.float64), np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     found = []
     for step in range(steps if extent > 0 else 0):
-        window = NEIGHBORHOOD * extent * LADDER**step
-        weight, where, color = _voxels(matter, VOXEL * window)
-        heavy, at, _ = _voxels(matter, APART * window)
+        window = _CONFIG.neighborhood * extent * _CONFIG.ladder**step
+        weight, where, color = _voxels(matter, _CONFIG.voxel * window)
+        heavy, at, _ = _voxels(matter, _CONFIG.apart * window)
         if step == 0:
             matter = weight, where, color  # coarser voxels are filled by the finest
         places = at[heavy > 0.2 * np.median(heavy)]  # not about floaters
         if len(places) > most:
             places = places[np.sort(np.random.default_rng(0).choice(len(places), most, replace=False))]
         moments, count = np.zeros((len(places), 2, 22)), np.zeros(len(places), np.int64)
-        _moments(weight, where, color, places, window, REACH * window, moments, count)
-        usable = (count >= LEAST_VOXELS) & (moments[:, 0, 0] > 0)
+        _moments(weight, where, color, places, window, _CONFIG.reach * window, moments, count)
+        usable = (count >= _CONFIG.least_voxels) & (moments[:, 0, 0] > 0)
         features = np.concatenate([_features(moments[usable, s], window * (0.5 + 0.5 * s)) for s in range(2)], axis=1)
         found.append((places[usable], features, np.full(usable.sum(), window)))
     if not found:
@@ -132,7 +114,7 @@ class Crowd:
     def __init__(self, suspect: Coarse) -> None:
         self.suspect = suspect
         if len(suspect):
-            self._scale = np.maximum(suspect.features.std(axis=0), LEAST_SPREAD)
+            self._scale = np.maximum(suspect.features.std(axis=0), _CONFIG.least_spread)
             self._features = np.ascontiguousarray((suspect.features / self._scale).T)  # (FEATURES, Q)
             self._squares = np.square(self._features).sum(axis=0)
 
@@ -150,23 +132,23 @@ def agreement(sketch: Coarse, suspect: Crowd) -> float:
         return 0.0
     partner = suspect.partners(sketch)
     y = sketch.places.astype(np.float64)
-    extent = float(np.median(sketch.sizes)) / NEIGHBORHOOD
+    extent = float(np.median(sketch.sizes)) / _CONFIG.neighborhood
     chance = chance_table(y, extent, np.random.default_rng(0), samples=20_000)
     size = np.log(sketch.sizes.astype(np.float64) / suspect.suspect.sizes[partner])
     turn = np.zeros((len(y), 4))
-    seeds = np.arange(0, len(y), max(1, len(y) // SEEDS), dtype=np.int64)
+    seeds = np.arange(0, len(y), max(1, len(y) // _CONFIG.seeds), dtype=np.int64)
     best = 0.0
     for mirror in (np.ones(3), MIRROR):
         x = suspect.suspect.places[partner].astype(np.float64) * mirror
         pairs = Pairs(x, y, size, turn)
-        rules = Agreement(SIZE, EDGE, np.inf)
-        triples = best_triples(pairs, rules, extent, chance, seeds=seeds, draws=DRAWS, seed=0)
+        triples = best_triples(pairs, _CONFIG.agreement, extent, chance, seeds=seeds, draws=_CONFIG.draws, seed=0)
         at = int(np.argmax(triples.scores))
         if triples.scores[at] <= best:
             continue
         R, moved = triples.turns[at], triples.moves[at]
-        shuffles = [np.random.default_rng(i).permutation(len(y)) for i in range(SHUFFLES)]
-        accident = max(evidence(pairs.shuffled(s), R, moved, SIZE, extent, chance)[0] for s in shuffles)
+        shuffles = [np.random.default_rng(i).permutation(len(y)) for i in range(_CONFIG.shuffles)]
+        size_error = _CONFIG.agreement.size
+        accident = max(evidence(pairs.shuffled(s), R, moved, size_error, extent, chance)[0] for s in shuffles)
         best = max(best, float(triples.scores[at]) - accident)
     return best
 

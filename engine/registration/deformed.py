@@ -14,28 +14,14 @@ from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.kd_tree import KdTree
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
 from engine.registration.growth import grow
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
 from engine.registration.matching import Deviations
 from engine.registration.patches import Patch, find_patches
 
-GLANCE = 4_000
-"""Suspect Gaussians on which is decided whether to look for a deformation."""
-AROUND = 16
-"""Neighbours, of those, that tell what is explained nearby."""
-REGION = 0.05
-"""Share of the suspect that must lie in unexplained regions for a search to be worth its time."""
-SMOOTH = 0.5
-"""Share of the similarity's squared errors that neighbours must have in common: noise has a sixteenth."""
-CYCLES = 3
-"""Rounds of patches and growth: parts that do not hang together are found one after the other."""
-PATCHES = 8
-"""Patches tried in a round."""
-CLEARLY = 1.1
-"""Times as many pairs of mirrored patches as of others make the suspect a mirror image; flat ones may be either."""
-GAIN = 0.02
-"""A field of maps must explain so much more of the suspect than the similarity does, as a share."""
+_CONFIG = CONFIG.deformation
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +49,19 @@ def unexplained(
     Those in regions that its `matches` (M,) do not explain, or all of the sample where its errors vary smoothly over
     the suspect. `deviations` are the errors under it, None where nothing was matched.
     """
-    rows = sample_rows(len(suspect), GLANCE, rng)
+    rows = sample_rows(len(suspect), _CONFIG.glance, rng)
     if deviations is None:
         return rows
     bare = _bare(suspect, matches, rows)
-    if bare.mean() > REGION:
+    if bare.mean() > _CONFIG.region:
         return rows[bare]
     hit = rows[matches[rows] >= 0]
     wide = bool((deviations.position > 3.0 * floor.position).any())
-    if wide and len(hit) > 10 * AROUND:
+    if wide and len(hit) > 10 * _CONFIG.neighbors:
         error = fit.apply(suspect.means[hit]) - reference.means[matches[hit]]
         length = np.linalg.norm(error, axis=1)
         right = length < 4.0 * np.median(length)
-        if _common_share(suspect.means[hit[right]], error[right]) > SMOOTH:
+        if _common_share(suspect.means[hit[right]], error[right]) > _CONFIG.smooth:
             return rows
     return rows[:0]
 
@@ -83,9 +69,9 @@ def unexplained(
 def _common_share(points: Float32, errors: Float64) -> float:
     """Share of squared errors (n, 3) that neighbours have in common."""
     places = points.astype(np.float64)
-    beside = KdTree(places).nearest(places, AROUND)[1]
+    near = KdTree(places).nearest(places, _CONFIG.neighbors)[1]
     total = float(np.square(errors).sum())
-    return float(np.square(errors[beside].mean(axis=1)).sum()) / max(total, 1e-300)
+    return float(np.square(errors[near].mean(axis=1)).sum()) / max(total, 1e-300)
 
 
 def register_deformed(
@@ -101,10 +87,10 @@ def register_deformed(
     patches: list[Patch] = []
     best: Deformed | None = None
     tried = 0
-    for cycle in range(CYCLES):
+    for cycle in range(_CONFIG.cycles):
         if len(todo) == 0 or (cycle and not budget.allows("deformations of further parts")):
             break
-        centers = todo[rng.permutation(len(todo))[:PATCHES]]
+        centers = todo[rng.permutation(len(todo))[: _CONFIG.patches]]
         found = find_patches(looks, suspect, places, centers, index.floor, rng)
         tried += len(centers)
         if not found:
@@ -122,9 +108,9 @@ def register_deformed(
         matches = np.where(quality > 0, neighbors.index, -1).astype(np.int32)
         tried += field.rounds
         best = Deformed(matches, quality, tried, same_hand[0].mirrored)
-        rows = sample_rows(len(suspect), GLANCE, rng)
+        rows = sample_rows(len(suspect), _CONFIG.glance, rng)
         bare = _bare(suspect, matches, rows)
-        if bare.mean() < REGION:
+        if bare.mean() < _CONFIG.region:
             break
         todo = rows[bare]
     return best
@@ -133,13 +119,13 @@ def register_deformed(
 def _same_hand(patches: list[Patch]) -> list[Patch]:
     """The patches of one hand, the one that most pairs speak for."""
     pairs = {hand: sum(len(p.suspect) for p in patches if p.mirrored == hand) for hand in (False, True)}
-    mirrored = pairs[True] > CLEARLY * pairs[False]
+    mirrored = pairs[True] > _CONFIG.clearly * pairs[False]
     return [p for p in patches if p.mirrored == mirrored]
 
 
 def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
     """Which of some Gaussians lie where hardly any of these is matched."""
     points = suspect.means[rows].astype(np.float64)
-    k = min(AROUND, len(rows))
-    beside = KdTree(points).nearest(points, k)[1]  # (n, k)
-    return np.asarray((matches[rows] >= 0)[beside].mean(axis=1) < 0.3)
+    k = min(_CONFIG.neighbors, len(rows))
+    near = KdTree(points).nearest(points, k)[1]  # (n, k)
+    return np.asarray((matches[rows] >= 0)[near].mean(axis=1) < 0.3)

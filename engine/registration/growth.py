@@ -12,24 +12,12 @@ import scipy
 
 from engine.model import Bool, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
 from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
 from engine.registration.warp import Affine, blend, fit_affine, unturned, warped
 
-SAMPLE = 24_000
-"""Suspect Gaussians from which the field is grown."""
-NODES = 1_000
-"""Nodes of the field: about 24 of the sample each."""
-PAIRS = 32
-"""Matches from which a node's map is fitted."""
-ROUNDS = 40
-"""A front goes about one node further a round; 1,000 nodes on a surface are 32 across."""
-MEASURED = 4_000
-"""Matches from which the remaining errors are measured."""
-BEND = 0.1
-"""Error of a map one node further on, in distances between nodes."""
-EXPLAINED = 0.2
-"""Share of a node's surroundings that must be matched for it to hand its map on."""
+_CONFIG = CONFIG.deformation
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,26 +55,26 @@ def grow(
     `pairs` are reference and suspect indices (n,), nearly all of them right, `deviations` their errors after local
     maps, `floor` those below which nothing is measured.
     """
-    rows = sample_rows(len(suspect), SAMPLE, rng)
+    rows = sample_rows(len(suspect), _CONFIG.sample, rng)
     part = suspect.take(rows)
     points = part.means.astype(np.float64)
-    nodes = points[np.sort(rng.choice(len(points), min(NODES, len(points)), replace=False))]
+    nodes = points[np.sort(rng.choice(len(points), min(_CONFIG.nodes, len(points)), replace=False))]
     tree = scipy.spatial.cKDTree(nodes)
     home = np.asarray(tree.query(points, workers=2)[1])
-    beside = np.asarray(tree.query(nodes, k=min(7, len(nodes)))[0]).reshape(len(nodes), -1)  # (A, 7)
-    reach = 2.5 * np.median(beside[:, 1:], axis=1) if beside.shape[1] > 1 else np.full(len(nodes), np.inf)
+    spacings = np.asarray(tree.query(nodes, k=min(7, len(nodes)))[0]).reshape(len(nodes), -1)  # (A, 7)
+    reach = 2.5 * np.median(spacings[:, 1:], axis=1) if spacings.shape[1] > 1 else np.full(len(nodes), np.inf)
 
     same = Similarity.identity()
     deviations = unturned(deviations)
     source, target = suspect.means[pairs[1]].astype(np.float64), reference.means[pairs[0]].astype(np.float64)
     first = _first_map(source, target)
     maps, fitted = np.broadcast_to(first, (len(nodes), 3, 4)).copy(), np.zeros(len(nodes), dtype=bool)
-    # A map handed on is wrong by the field's bend over one node; the errors in size and look still tell.
-    step = float(np.median(beside)) * float(np.cbrt(abs(np.linalg.det(first[:, :3]))))
-    matcher = Matcher(reference, replace(deviations, position=np.maximum(deviations.position, BEND * step)))
+    # A map handed on is wrong by the field's bend over one node; the errors in size and look still show that.
+    step = float(np.median(spacings)) * float(np.cbrt(abs(np.linalg.det(first[:, :3]))))
+    matcher = Matcher(reference, replace(deviations, position=np.maximum(deviations.position, _CONFIG.bend * step)))
     members = np.bincount(home, minlength=len(nodes))
     rounds, last = 0, -1
-    while rounds < ROUNDS:
+    while rounds < _CONFIG.rounds:
         rounds += 1
         fitted, maps = _fit_nodes(nodes, maps, fitted, reach, source, target)
         if not fitted.any():
@@ -98,7 +86,7 @@ def grow(
         trust = neighbors.probability[hit]
         used = np.flatnonzero(use)
         weight = np.bincount(home[used[hit]], trust, len(nodes))
-        explained = fitted & (weight > EXPLAINED * members) & (weight > 2.0)
+        explained = fitted & (weight > _CONFIG.explained * members) & (weight > 2.0)
         sure = hit[(trust > 0.5) & explained[home[used[hit]]]]
         if len(sure) < 16:
             return None
@@ -116,7 +104,7 @@ def _measure(
     reference: GaussianModel, straight: GaussianModel, pairs: tuple[Int32, Int64], floor: Deviations
 ) -> Deviations:
     """Errors of a straightened suspect. Joints and edges leave a few large ones in position: those count."""
-    step = max(1, len(pairs[0]) // MEASURED)
+    step = max(1, len(pairs[0]) // _CONFIG.measured)
     pairs = (pairs[0][::step], pairs[1][::step])
     usual = unturned(estimate_deviations(reference, straight, pairs, Similarity.identity(), floor))
     error = np.abs(straight.means[pairs[1]].astype(np.float64) - reference.means[pairs[0]])
@@ -135,7 +123,7 @@ def _fit_nodes(
     nodes: Float64, maps: Affine, fitted: Bool, reach: Float64, source: Float64, target: Float64
 ) -> tuple[Bool, Affine]:
     """Maps of all nodes that have matches within reach, from their nearest ones; others keep what they had."""
-    k = min(PAIRS, len(source))
+    k = min(_CONFIG.node_pairs, len(source))
     distance, index = scipy.spatial.cKDTree(source).query(nodes, k=k, workers=2)
     distance, index = distance.reshape(-1, k), index.reshape(-1, k)  # (A, k)
     near = distance[:, min(7, k - 1)] < reach

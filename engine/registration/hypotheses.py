@@ -13,8 +13,9 @@ import numpy as np
 
 from engine.model import Float64, Int64
 from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.registration.config import Agreement
 from engine.registration.match_candidates import Candidates
-from engine.registration.match_kernels import BINS, Agreement, Pairs, best_triples, degrees_of_agreement, evidence
+from engine.registration.match_kernels import BINS, Pairs, best_triples, degrees_of_agreement, evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ def propose(
             fit, score, at = better, float(new), int(new_at)
             inliers = _inliers(pairs, fit, tol_size, extent, at)
         if any(np.isin(inliers, other.inliers).mean() > 0.5 for other in found):
-            continue  # the same again
+            continue  # found before
         # Two crowds laid upon each other explain much by accident, and shuffled pairs just as well.
         moved = np.concatenate([[fit.scale], fit.t])  # (4,)
         accident = max(evidence(pairs.shuffled(p), fit.R, moved, tol_size, extent, chance)[0] for p in shuffles)

@@ -15,10 +15,10 @@ from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.kd_tree import KdTree
 from engine.numerics.similarity import MIRROR
+from engine.registration.config import CONFIG
 from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
 
-TREE_POINTS = 150_000
-"""The feature tree holds at most so many reference Gaussians, the rarest ones."""
+_CONFIG = CONFIG.looks
 SHAPE_FEATURES = 3
 """Two size ratios and the opacity come first in a feature vector, then colour, then SH energies."""
 
@@ -83,8 +83,8 @@ def log_sizes(model: GaussianModel, index: npt.NDArray[np.int64]) -> Float64:
 
 
 class FeatureIndex:
-    """The reference's rarest Gaussians in feature space (SH energies up to `degree`, DC if `colors`), ready to be
-    asked."""
+    """The reference's rarest Gaussians in feature space (SH energies up to `degree`, DC if `colors`),
+    ready for queries."""
 
     def __init__(self, reference: GaussianModel, degree: int, *, colors: bool) -> None:
         self.reference, self.degree, self.colors = reference, degree, colors
@@ -99,8 +99,9 @@ class FeatureIndex:
         self.precision = np.linalg.inv(np.atleast_2d(covariance) + 0.01 * np.eye(white.shape[1]))
         rarity = self._rarity(white)
         self.all_points = white
-        if len(white) > TREE_POINTS:
-            self.threshold = float(np.partition(rarity, len(white) - TREE_POINTS)[len(white) - TREE_POINTS])
+        if len(white) > _CONFIG.tree_points:
+            rank = len(white) - _CONFIG.tree_points
+            self.threshold = float(np.partition(rarity, rank)[rank])
         else:
             self.threshold = -np.inf
         self.rows = np.flatnonzero(rarity >= self.threshold)
@@ -134,7 +135,7 @@ class FeatureIndex:
         """Suspect Gaussians from every region, each with its nearest look: at most `count` pairs, the least ambiguous
         ones.
 
-        `queries` Gaussians are asked for; `deep` draws them at random instead of taking the rarest: in a large foreign
+        `queries` Gaussians are looked up; `deep` draws them at random instead of taking the rarest: in a large foreign
         scene that holds a small piece of the reference, the rarest-looking Gaussians are the foreign ones.
         """
         pool = sample_rows(len(suspect), 10 * queries, rng)

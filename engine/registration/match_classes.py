@@ -12,20 +12,11 @@ import numpy.typing as npt
 
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
 from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
 
-CLASSES = 6
-"""Of equally many suspect Gaussians each."""
-SAMPLE = 2_000
-"""Suspect Gaussians of a class from which its errors are learnt."""
-ROUNDS = 8
-LEAST_PAIRS = 32
-"""Matches of a class below which its errors are not learnt."""
-GROWTH = 1.5
-"""Times the error of one class by which another's must exceed it for classes to be worth while."""
-OWN_SIZE = 8.0
-"""Error of a class, in its own sizes, beyond which it is not believed: moved by four of them, nothing looks right."""
+_CONFIG = CONFIG.classes
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +57,17 @@ class Growth:
 def growth_in_order(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, alike: Bool) -> Growth:
     """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
 
-    Only pairs within OWN_SIZE count: what looks like its namesake elsewhere is another.
+    Only pairs within `own_size` count: a row that looks like its partner elsewhere is another Gaussian.
     """
     sizes = _sizes(suspect) + np.log(fit.scale)
     error = np.abs(fit.apply(suspect.means) - reference.means) / np.exp(sizes)[:, None]
-    near = alike & (error <= OWN_SIZE).all(axis=1)
-    edges = np.quantile(sizes, np.arange(1, CLASSES) / CLASSES)
+    near = alike & (error <= _CONFIG.own_size).all(axis=1)
+    edges = np.quantile(sizes, np.arange(1, _CONFIG.count) / _CONFIG.count)
     home = np.searchsorted(edges, sizes)
-    parts = np.zeros(CLASSES)
-    for number in range(CLASSES):
+    parts = np.zeros(_CONFIG.count)
+    for number in range(_CONFIG.count):
         mine = error[near & (home == number)]
-        if len(mine) >= LEAST_PAIRS:
+        if len(mine) >= _CONFIG.least_pairs:
             parts[number] = float(np.quantile(mine, 0.9, axis=0).max()) / 1.645
     return Growth(edges, parts)
 
@@ -97,19 +88,19 @@ def by_size(
     `floor` are the errors below which nothing is measured; `in_order`: row for row the partners are known.
     """
     own, theirs = _sizes(reference), _sizes(suspect) + np.log(fit.scale)
-    edges = np.quantile(theirs, np.arange(1, CLASSES) / CLASSES)
+    edges = np.quantile(theirs, np.arange(1, _CONFIG.count) / _CONFIG.count)
     home = np.searchsorted(edges, theirs)
     margin = 3.0 * float(deviations.size[2])
     rows: list[Int64] = []
     learnt: list[Deviations] = []
     begin, before = deviations, np.inf  # what the class of the next smaller ones came to, and their size
-    for number in range(CLASSES):
+    for number in range(_CONFIG.count):
         low, high = (np.concatenate([[-np.inf], edges, [np.inf]]))[number : number + 2]
         alike = np.flatnonzero((own >= low - margin) & (own <= high + margin))
         # strangers may be of sizes that the reference has not
-        rows.append(alike if len(alike) >= LEAST_PAIRS else np.arange(len(reference)))
+        rows.append(alike if len(alike) >= _CONFIG.least_pairs else np.arange(len(reference)))
         mine = np.flatnonzero(home == number)
-        sampled = mine[sample_rows(len(mine), SAMPLE, rng)]
+        sampled = mine[sample_rows(len(mine), _CONFIG.sample, rng)]
         part = suspect.take(sampled)
         typical = float(np.median(theirs[mine])) if len(mine) else before
         grown = begin.position * np.exp(max(0.0, typical - before))
@@ -121,7 +112,7 @@ def by_size(
         learnt.append(found or deviations)
         begin, before = found or begin, typical
     means = np.array([np.log(d.position).mean() for d in learnt])
-    if means.max() - means.min() < np.log(GROWTH):
+    if means.max() - means.min() < np.log(_CONFIG.growth):
         return None
     return SizedMatcher(
         edges, tuple(rows), tuple(Matcher(reference.take(r), d) for r, d in zip(rows, learnt, strict=True))
@@ -132,13 +123,13 @@ def _learn(
     reference: GaussianModel, part: GaussianModel, fit: Similarity, start: Deviations, floor: Deviations
 ) -> Deviations | None:
     """Errors of one class; None where they are not to be learnt, or grow beyond belief."""
-    if len(reference) < LEAST_PAIRS or not len(part):
+    if len(reference) < _CONFIG.least_pairs or not len(part):
         return None
     limit = _limit(part, fit)
     deviations = start
-    for _ in range(ROUNDS):
+    for _ in range(_CONFIG.rounds):
         pairs = paired(Matcher(reference, deviations).match(part, fit, deviations))
-        if len(np.unique(pairs[0])) < LEAST_PAIRS:
+        if len(np.unique(pairs[0])) < _CONFIG.least_pairs:
             return None
         measured = _measure(reference, part, pairs, fit, floor)
         if (measured.position > np.maximum(limit, start.position)).any():
@@ -151,19 +142,19 @@ def _learn(
 
 
 def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, floor: Deviations) -> Deviations | None:
-    """The same where row for row the partners are known; what lies too far off is something else, unless most does."""
+    """`growth` where row for row the partners are known; what lies too far off is something else, unless most does."""
     if not len(part):
         return None
     error = np.abs(fit.apply(part.means) - reference.means)
     near = np.flatnonzero((error <= _limit(part, fit)).all(axis=1))
-    if len(near) < max(LEAST_PAIRS, len(part) / 2):
+    if len(near) < max(_CONFIG.least_pairs, len(part) / 2):
         return None
     return _measure(reference, part, (near, near), fit, floor)
 
 
 def _limit(part: GaussianModel, fit: Similarity) -> float:
     """The largest error that is believed."""
-    return OWN_SIZE * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
+    return _CONFIG.own_size * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
 
 
 def _measure(

@@ -13,6 +13,7 @@ import numpy as np
 from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Float64, Int32, Int64
+from engine.registration.config import Agreement
 
 BINS = 48
 """Tolerances tried per hypothesis: powers of sqrt(2) below the reference's extent."""
@@ -32,31 +33,13 @@ class Pairs:
         return len(self.x)
 
     def shuffled(self, order: Int64) -> Pairs:
-        """The suspect's places beside other ones of the reference."""
+        """The suspect's places paired with other places of the reference."""
         return Pairs(self.x, self.y[order], self.size[order], self.turn)
 
     def columns(self) -> Float64:
         """(12, n): x (3), y (3), size, the factor that it is the logarithm of, turn (4)."""
         parts = [self.x, self.y, self.size[:, None], np.exp(self.size)[:, None], self.turn]
         return np.ascontiguousarray(np.concatenate(parts, axis=1).T)
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How exactly two candidates must agree.
-
-    `size`: difference of the two changes of log size. `edge`: between the log ratio of the distances and the change of
-    log size. `angle`: radians, between the two rotations and along the line; infinity leaves rotations out.
-    """
-
-    size: float
-    edge: float
-    angle: float
-
-    @property
-    def cosines(self) -> tuple[float, float]:
-        """Of half the angle, and of all of it; -1 where rotations are left out."""
-        return (math.cos(self.angle / 2), math.cos(self.angle)) if math.isfinite(self.angle) else (-1.0, -1.0)
 
 
 class Triples(NamedTuple):

@@ -21,13 +21,12 @@ from engine.numerics.chi_square import chi_square_beyond
 from engine.numerics.nearest import Neighbors, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
 
-LOGIT_CLIP = 5.0
-"""Beyond this an 8-bit opacity (steps of 1/255) no longer tells logits apart."""
+LOGIT_CLIP = CONFIG.looks.logit_clip
 DC_CLIP = 1.772
 """DC of the colours 0 and 1: trade formats with 8-bit colours hold no more."""
-FLATNESS_CLIP = 7.0
-"""Log ratio of sizes beyond which a disc is a disc: a third axis of a thousandth is noise."""
+FLATNESS_CLIP = CONFIG.looks.flatness_clip
 HARD = 6
 """Position and size come first in a joint vector; opacity and colour, which owners retouch, follow."""
 
@@ -51,7 +50,7 @@ class Deviations:
     gain, offset : (3,) float64
         Reference DC = gain * suspect DC + offset: a global change of tint or exposure.
     smallest : float
-        Log scale, in the reference's frame, below which sizes are not told apart: a format clips there. Minus infinity
+        Log scale, in the reference's frame, below which sizes do not differ: a format clips there. Minus infinity
         where none does.
     """
 

@@ -13,24 +13,12 @@ import scipy
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, umeyama
+from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
 from engine.registration.mixtures import Mixtures, Parts, Wholes, agreement, mix
 
-GLANCE, SAMPLE = 1_000, 5_000
-"""Reference Gaussians by which placements are compared, and by which one is refined."""
-ROUNDS = 15
-"""Rounds of giving parts to wholes and fitting again; far-off starts need the most."""
-SETTLED, CLOSE = 1e-6, 1e-3
-"""Changes of the placement, in extents of the reference, that end them, and that are worth mixing anew."""
-SPOTS, AROUND, PROMISING = 24, 16, 0.05
-"""Places at which a placement is looked at, suspect Gaussians at each, and their mean trust below which it is dismissed
-without further work: half of what all must have."""
-LEAST = 0.1
-"""Mean trust that mixtures must exceed: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
-under the looks of others 0.03."""
-TRUSTED = 0.1
-"""Trust from which a mixture counts as found."""
+_CONFIG = CONFIG.merging
 
 
 Singles = tuple[Int32, Float32]
@@ -72,7 +60,7 @@ def register_merged(
     if start is not None:
         return _judged(index, parts, suspect, start, 1, singles)
     wholes = Wholes(suspect)
-    glance, sample = (parts.take(sample_rows(len(parts.means), n, rng)) for n in (GLANCE, SAMPLE))
+    glance, sample = (parts.take(sample_rows(len(parts.means), n, rng)) for n in (_CONFIG.glance, _CONFIG.sample))
     in_frame = [Similarity(1.0, turn, np.zeros(3)) for turn in turns]
     tried = 0
     for fits, moved in ((in_frame, False), (_by_axes(parts, Parts.of(suspect)), True)):
@@ -82,7 +70,7 @@ def register_merged(
         best = max(fits, key=lambda fit: _evidence(wholes, glance, fit, index.extent))
         if moved:
             best = _refined(wholes, sample, best, index.extent)
-        if _promise(wholes, parts, best, rng) > PROMISING:
+        if _promise(wholes, parts, best, rng) > _CONFIG.promising:
             merged = _judged(index, parts, suspect, best, tried)
             if merged is not None:
                 return merged
@@ -91,14 +79,14 @@ def register_merged(
 
 def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Generator) -> float:
     """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are left out."""
-    spots = wholes.centers[sample_rows(len(wholes.centers), SPOTS, rng)]
-    distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centers)))
+    spots = wholes.centers[sample_rows(len(wholes.centers), _CONFIG.spots, rng)]
+    distance, around = wholes.tree.query(spots, k=min(_CONFIG.around, len(wholes.centers)))
     reach, spot = scipy.spatial.cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)
     near = parts.take(np.flatnonzero(reach < 2.0 * distance.reshape(len(spots), -1)[spot, -1]))
     owner, _ = wholes.find(near, fit)
     inside = np.flatnonzero(owner >= 0)
     trust = agreement(wholes, near.take(inside), fit, owner[inside])[1]
-    return float(trust[np.unique(beside)].mean())
+    return float(trust[np.unique(around)].mean())
 
 
 def _judged(
@@ -111,10 +99,10 @@ def _judged(
 ) -> Merged | None:
     """The mixtures under a placement, or a better one that follows from them; None where they explain too little."""
     mixed = _mixed(index, parts, suspect, start, tried, singles)
-    if mixed.explained <= LEAST:
+    if mixed.explained <= _CONFIG.least:
         return None
     better = _polished(parts, suspect, mixed)
-    if better is not None and _moved(mixed.fit, better, suspect.means) > CLOSE * index.extent:
+    if better is not None and _moved(mixed.fit, better, suspect.means) > _CONFIG.close * index.extent:
         again = _mixed(index, parts, suspect, better, tried)
         mixed = again if again.mixtures.quality.sum() > mixed.mixtures.quality.sum() else mixed
     return mixed
@@ -178,13 +166,13 @@ def _refined(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> Si
     """The placement at which parts surround the wholes they are likeliest in: each pulls its whole to itself, and what
     lies on one side cancels what lies on the other."""
     weight = 1.0 / wholes.variance
-    for _ in range(ROUNDS):
+    for _ in range(_CONFIG.rounds):
         owner, _ = wholes.find(parts, fit)
         rows = np.flatnonzero(owner >= 0)
         better = umeyama(wholes.centers[owner[rows]], parts.means[rows], weight[owner[rows]])
         if better is None:
             break
-        settled = _moved(fit, better, wholes.centers) < SETTLED * extent
+        settled = _moved(fit, better, wholes.centers) < _CONFIG.settled * extent
         fit = better
         if settled:
             break
@@ -204,6 +192,6 @@ def _polished(parts: Parts, suspect: GaussianModel, mixed: Merged) -> Similarity
     mean = np.stack(
         [np.bincount(mixtures.suspect_rows, mixtures.shares * parts.means[rows, c], m) for c in range(3)], axis=1
     )
-    trust = np.where(mixtures.quality > 3 * TRUSTED, mixtures.quality.astype(np.float64), 0.0)
+    trust = np.where(mixtures.quality > 3 * _CONFIG.trusted, mixtures.quality.astype(np.float64), 0.0)
     size = np.exp(suspect.log_scales.astype(np.float64).mean(axis=1))
     return umeyama(suspect.means, mean, trust / np.maximum(size, 1e-12) ** 2)

@@ -19,22 +19,12 @@ from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.gaussians import covariances, surface_mass
 from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
 from engine.registration.matching import DC_CLIP
 
-NEIGHBORS = 8
-"""Among so many nearest suspect Gaussians a reference Gaussian looks for the one that it went into."""
-LIMIT = 30.0
-"""Largest squared distance of a part from its whole, its own spread included, in the whole's covariance. Over all parts
-this is 3 in the mean, weighted by mass, so that a part of a tenth of the mass cannot lie farther."""
-COLOR_STD = 0.4
-"""Spread of DC colour among the parts of one Gaussian. Tools merge what looks alike; a smaller value would draw parts
-to the suspect's own colours, and the displacements out of the evidence."""
-MEAN_OFF, SIZE_OFF = 0.1, 0.3
-"""Disagreements of the moments that halve the trust: squared distance of the means, in the covariance, and log ratio of
-the mean variances. Right mixtures at a tenth of the Gaussians have 0.02 to 0.1 and 0.1, wrong placements 5 and 1."""
-
-_THIN = 1e-6
-"""Share of its trace added to a covariance, so that discs have an inverse."""
+_CONFIG = CONFIG.merging
+LIMIT = CONFIG.merging.limit
+COLOR_STD = CONFIG.merging.color_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +67,7 @@ class Wholes:
         """
         back = fit.inverse()
         turn = back.scale * back.R
-        k = min(NEIGHBORS, len(self.centers))
+        k = min(_CONFIG.neighbors, len(self.centers))
         points = back.apply(parts.means)
         near = np.asarray(self.tree.query(points, k=k, workers=2)[1]).reshape(len(points), k)
         sigma = turn @ parts.sigma @ turn.T
@@ -149,7 +139,7 @@ def agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32) -> tu
     variance += np.einsum("nij,nji->n", precision, turn @ parts.sigma @ turn.T)
     size = np.bincount(owner, shares * variance, m) / 3.0
     moved = np.einsum("ni,nij,nj->n", mean, wholes.precision, mean)
-    trust = 1.0 / (1.0 + moved / MEAN_OFF + np.abs(np.log(np.maximum(size, 1e-12))) / SIZE_OFF)
+    trust = 1.0 / (1.0 + moved / _CONFIG.mean_off + np.abs(np.log(np.maximum(size, 1e-12))) / _CONFIG.size_off)
     return shares, np.where(size > 0, trust, 0.0).astype(np.float32)
 
 
@@ -181,7 +171,7 @@ def likeliest_wholes(points, sigma, colors, near, centers, precision, log_det, w
 
 def _solid(sigma: Float64) -> Float64:
     """Covariances (n, 3, 3) with an inverse, discs made a little thick."""
-    return np.asarray(sigma + (_THIN * np.trace(sigma, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3))
+    return np.asarray(sigma + (_CONFIG.thin * np.trace(sigma, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3))
 
 
 def _colors(model: GaussianModel) -> Float64:

@@ -24,27 +24,11 @@ import scipy
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import beats_decoys
-from engine.registration.matching import DC_CLIP, LOGIT_CLIP, Deviations, Matcher, estimate_deviations, paired
+from engine.registration.config import CONFIG
+from engine.registration.matching import DC_CLIP, Deviations, Matcher, estimate_deviations, paired
 from engine.registration.warp import Affine, fit_affine, unturned, warped
 
-PATCH = 400
-"""Gaussians of a patch: few enough that the deformation is affine across it, enough to be no accident."""
-LOOK_ALIKES = 3
-"""Reference Gaussians considered for each suspect one."""
-CROWDS, DRAWS = 6, 400
-"""Crowds of pairs examined in a patch, and affine maps drawn in each."""
-TOLERANCE = 0.05
-"""Error of a pair that an affine map explains, in radii of its crowd: a 90 degree bend curves a patch by half that."""
-MOST_SKEWED = 8.0
-"""Largest ratio of the stretches of a believable map along its axes."""
-LEAST_PAIRS = 16
-"""Pairs that must agree beyond the four that made the map."""
-LEAST_SHARE = 0.15
-"""Share of a patch that its map must explain in the end."""
-
-
-COUNTED = 600
-"""Reference Gaussians counted for the radius of a crowd: a sample tells it within a few per cent."""
+_CONFIG = CONFIG.patches
 
 
 class Looks:
@@ -60,7 +44,7 @@ class Looks:
 
     def radii(self, places: Float64, count: int) -> Float64:
         """(n,) about how far around each of `places` (n, 3) the nearest `count` reference Gaussians reach."""
-        step = max(1, count // COUNTED)
+        step = max(1, count // _CONFIG.counted)
         if step not in self._sparse:
             some = self.reference.means[::step].astype(np.float64)
             self._sparse[step] = scipy.spatial.cKDTree(some, balanced_tree=False, compact_nodes=False)
@@ -70,7 +54,7 @@ class Looks:
 
 def _looks(model: GaussianModel, degree: int) -> Float64:
     """(n, F) opacity logit, DC and energy of each SH degree, each over about its error after a re-export and a mark."""
-    logits = np.clip(model.opacity_logits.astype(np.float64), -LOGIT_CLIP, LOGIT_CLIP)
+    logits = np.clip(model.opacity_logits.astype(np.float64), -CONFIG.looks.logit_clip, CONFIG.looks.logit_clip)
     sh = model.sh.astype(np.float64)
     columns = [logits / 0.15, *(np.clip(sh[:, 0], -DC_CLIP, DC_CLIP).T / 0.05)]
     for l in range(1, degree + 1):
@@ -107,7 +91,7 @@ def find_patches(
 
     `places` is the tree of the suspect's centres, `floor` the errors below which nothing is measured.
     """
-    count = min(PATCH, len(suspect))
+    count = min(_CONFIG.size, len(suspect))
     found = []
     for center in centers:
         rows = np.asarray(places.query(suspect.means[center], k=count)[1], dtype=np.int64).reshape(-1)
@@ -120,7 +104,7 @@ def _find_patch(
 ) -> list[Patch]:
     part = suspect.take(rows)
     reference = looks.reference
-    k = min(LOOK_ALIKES, len(reference))
+    k = min(_CONFIG.look_alikes, len(reference))
     near = np.asarray(looks.tree.query(_looks(part, looks.degree), k=k)[1]).reshape(len(rows), k)  # (n, k)
     source_rows = np.repeat(np.arange(len(rows)), k)
     target = near.reshape(-1).astype(np.int64)
@@ -129,12 +113,13 @@ def _find_patch(
     crowd = min(int(1.5 * len(rows) * max(1.0, len(reference) / len(suspect))), len(reference))
     best: dict[int, tuple[int, Affine, float, npt.NDArray[np.bool_]]] = {}
     for crowd_pairs, radius in _crowds(looks, y, source_rows, crowd):
-        for hand, (count, map_, inlying) in _draw(x, y, source_rows, crowd_pairs, TOLERANCE * radius, rng).items():
+        drawn = _draw(x, y, source_rows, crowd_pairs, _CONFIG.tolerance * radius, rng)
+        for hand, (count, map_, inlying) in drawn.items():
             if hand not in best or count > best[hand][0]:
                 best[hand] = (count, map_, radius, inlying)
     patches = []
     for count, map_, radius, inlying in best.values():
-        if count >= LEAST_PAIRS + 4:
+        if count >= _CONFIG.least_pairs + 4:
             pairs = (target[inlying], source_rows[inlying])
             patches.append(_verify(reference, suspect, rows, map_, pairs, radius, floor, rng))
     return [patch for patch in patches if patch is not None]
@@ -152,7 +137,7 @@ def _crowds(looks: Looks, y: Float64, source_rows: Int64, crowd: int) -> list[tu
     chosen: list[tuple[Int64, float]] = []
     taken = np.zeros(len(first), dtype=bool)
     for i in np.argsort(-support, kind="stable"):
-        if support[i] < LEAST_PAIRS + 4 or len(chosen) == CROWDS:
+        if support[i] < _CONFIG.least_pairs + 4 or len(chosen) == _CONFIG.crowds:
             break
         if not taken[i] and radii[i] > 0:
             chosen.append((np.flatnonzero(near[i]), float(radii[i])))
@@ -166,7 +151,7 @@ def _draw(
     """The affine map of four pairs of a crowd that explains most of it, after a refinement on those: the best that
     keeps left and right (1), and the best that mirrors (-1)."""
     a, b, names = x[crowd_pairs], y[crowd_pairs], source_rows[crowd_pairs]
-    picks = rng.integers(len(crowd_pairs), size=(DRAWS, 4))
+    picks = rng.integers(len(crowd_pairs), size=(_CONFIG.draws, 4))
     edges = a[picks[:, 1:]] - a[picks[:, :1]]  # (D, 3, 3)
     spread = float(np.sqrt(np.square(a - a.mean(axis=0)).sum(axis=1).mean()))
     # flatter tetrahedra than this determine nothing across them
@@ -176,7 +161,7 @@ def _draw(
         return {}
     A = np.swapaxes(np.linalg.solve(edges, b[base[:, 1:]] - b[base[:, :1]]), 1, 2)  # (D, 3, 3)
     stretch = np.linalg.svd(A, compute_uv=False)
-    believable = stretch[:, 0] < MOST_SKEWED * stretch[:, 2]
+    believable = stretch[:, 0] < _CONFIG.most_skewed * stretch[:, 2]
     A, base = A[believable], base[believable]
     hands = np.sign(np.linalg.det(A))
     t = b[base[:, 0]] - np.einsum("dij,dj->di", A, a[base[:, 0]])  # (D, 3)
@@ -235,11 +220,11 @@ def _verify(
         matcher = Matcher(nearby, deviations)
         hit = paired(matcher.match(moved, same, deviations))
         pairs = (hit[0].astype(np.int64), hit[1])
-        if len(np.unique(pairs[0])) < max(LEAST_PAIRS, LEAST_SHARE * len(rows)):
+        if len(np.unique(pairs[0])) < max(_CONFIG.least_pairs, _CONFIG.least_share * len(rows)):
             return None
         x, y = part.means[pairs[1]].astype(np.float64), nearby.means[pairs[0]].astype(np.float64)
         map_ = fit_affine(x[None], y[None], map_[None])[0]
     moved = warped(part, np.broadcast_to(map_, (len(rows), 3, 4)))
-    if not beats_decoys(nearby, moved, matcher, same, deviations, rng, 3.0, float(LEAST_PAIRS)):
+    if not beats_decoys(nearby, moved, matcher, same, deviations, rng, 3.0, float(_CONFIG.least_pairs)):
         return None
     return Patch(rows[pairs[1]], around[pairs[0]].astype(np.int64), map_, deviations)

@@ -1,6 +1,6 @@
 """A suspect that holds the reference several times, or in pieces each moved on its own: registered one after another.
 
-What a registration left over is registered again, until nothing more is found or there are `MOST_PIECES`. As in
+What a registration left over is registered again, until nothing more is found or there are `most` pieces. As in
 `registration_search` no secret enters: how a suspect is taken apart is settled before a chip is drawn.
 """
 
@@ -10,21 +10,13 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Bool, GaussianModel
+from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.registration_search import LEAST_REST, Registration, RegistrationConfig, register
+from engine.registration.registration_search import Registration, RegistrationConfig, register
 
+_CONFIG = CONFIG.pieces
 RIGID = RegistrationConfig(merged=False, deformed=False)
 """Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
-MOST_PIECES = 8
-"""Pieces looked for where the caller does not say."""
-LEFT_OVER = 0.002
-"""Share of the suspect's Gaussians below which nothing is looked for in what is left over: formats leave as many of an
-intact asset (plant: 151 to 185 of 113,648), and to look costs more than all else."""
-SAME_PLACE = 0.01
-"""Median distance, in extents of the reference, at which two placements put a piece below which they are one: noise
-leaves over what belongs to the piece before."""
-AS_WELL = 0.9
-"""Share of what a field of local maps explains that rigid pieces must explain to stand for it."""
 
 
 def register_pieces(
@@ -32,7 +24,7 @@ def register_pieces(
     suspect: GaussianModel,
     *,
     first: Registration | None = None,
-    most: int = MOST_PIECES,
+    most: int = _CONFIG.most,
     seed: int = 0,
 ) -> tuple[Registration, ...]:
     """Every piece's own registration, all of them with matches (M,) over the whole suspect; no row is in two.
@@ -52,16 +44,16 @@ def register_pieces(
     if first is not None and first.deformed and most > 1:
         rigid = register_pieces(index, suspect, most=most, seed=seed)
         explained = sum(float(piece.match_quality.sum()) for piece in rigid)
-        return rigid if len(rigid) > 1 and explained > AS_WELL * float(first.match_quality.sum()) else (first,)
+        return rigid if len(rigid) > 1 and explained > _CONFIG.as_well * float(first.match_quality.sum()) else (first,)
     pieces = [register(index, suspect, seed=seed, config=RIGID) if first is None else first]
     left = ~_explained(pieces[0])
     for _ in range(1, most):
         rows = np.flatnonzero(left)
-        if not pieces[0].found or len(rows) < max(LEAST_REST, LEFT_OVER * len(suspect)):
+        if not pieces[0].found or len(rows) < max(CONFIG.least_rest, _CONFIG.left_over * len(suspect)):
             break
         part = register(index, suspect.take(rows), seed=seed, config=RIGID)
         hits = np.flatnonzero(part.matches >= 0)
-        if not part.found or len(hits) < LEAST_REST:
+        if not part.found or len(hits) < CONFIG.least_rest:
             break
         matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
         matches[rows[hits]], quality[rows[hits]] = part.matches[hits], part.match_quality[hits]
@@ -96,4 +88,4 @@ def _one(before: Registration, piece: Registration, suspect: GaussianModel, exte
         return False
     some = suspect.take(np.flatnonzero(piece.matches >= 0))
     gap = np.linalg.norm(before.place(some).means - piece.place(some).means, axis=1)
-    return float(np.median(gap)) < SAME_PLACE * extent
+    return float(np.median(gap)) < _CONFIG.same_place * extent

@@ -2,7 +2,7 @@
 
 The steps, cheapest first; `agreement.confirm_similarity` tests the hypotheses of each:
 
-1. same order: as many Gaussians as the reference has, each looking like its namesake;
+1. same order: as many Gaussians as the reference has, each looking like the one in its row;
 2. same frame: the reference's coordinates, or turned by a multiple of 90 degrees about the axes;
 3. search: candidates that look alike, agreement among them, triples (`hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
@@ -14,8 +14,8 @@ The steps, cheapest first; `agreement.confirm_similarity` tests the hypotheses o
 Steps 1 to 3 (`similarity_search`) search the suspect as it came and its mirror image; the maps of step 4 may mirror.
 
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter. So one
-registration is one hypothesis of the claim, however many alignments were weighed; their number is reported
-all the same.
+registration is one hypothesis of the claim, however many alignments were weighed; their number is reported,
+too.
 """
 
 from dataclasses import dataclass, replace
@@ -27,25 +27,14 @@ from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, fit_suspect
-from engine.registration.deformed import GAIN, register_deformed, unexplained
+from engine.registration.config import CONFIG
+from engine.registration.deformed import register_deformed, unexplained
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_classes import by_size
-from engine.registration.merged import TRUSTED, register_merged
+from engine.registration.merged import register_merged
 from engine.registration.mixtures import Mixtures
-from engine.registration.similarity_search import BOTH, MAX_SCALE, MIN_SCALE, Hands, axis_rotations, in_order, locate
+from engine.registration.similarity_search import BOTH, Hands, axis_rotations, in_order, locate
 from engine.registration.visibility import drawn
-
-FIT_SAMPLE = 50_000
-"""Matched pairs from which the similarity is fitted in the end."""
-EXPLAINED = 0.97
-"""Mean trust in the matches below which errors are sought that grow with the Gaussians."""
-MOSTLY = 0.5
-"""Share of the suspect that one hand must explain, or what is left over is looked at with the other hand, too."""
-LEAST_REST = 64
-"""Gaussians below which nothing is looked for in what is left over: as few as a mark needs."""
-LEFT_OVER = 0.02
-"""Share of the suspect's Gaussians without a match from which merged Gaussians are searched among them: a voxel
-tree makes many into few."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +61,7 @@ class Registration:
     hypotheses_tried: int  # alignments weighed, at least 1; they were chosen without the chips
     deformed: bool = False  # the matches come from a field of local maps; the similarity is the nearest single one
     # The suspect is a mirror image: `similarity` takes its own, `mirror_model` of it, to the reference. Matches tell
-    # rows, which are the same in both.
+    # rows, which do not change by mirroring.
     mirrored: bool = False
     mixed: Mixtures | None = None  # where suspect Gaussians are merged ones: all that was found, the matches among it
     undrawn: int = 0  # Gaussians of the suspect that no viewer draws, left out beforehand: they are matched to none
@@ -121,8 +110,8 @@ def register(
 
 
 def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> Registration:
-    """What was found in all rows of a suspect, but that those which nobody sees (M,) stand for no Gaussian that
-    is plainly drawn."""
+    """What was found in all rows of a suspect, but that undrawn ones (M,) stand for no Gaussian that is plainly
+    drawn."""
     matches, quality = whole.matches.copy(), whole.match_quality.copy()
     wrong = ~seen & ((matches < 0) | index.plain[matches])
     matches[wrong], quality[wrong] = -1, 0.0
@@ -130,7 +119,7 @@ def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> 
     held = matches
     if mixed is not None:
         mixed = replace(mixed, quality=np.where(wrong, np.float32(0.0), mixed.quality))
-        held = mixed.reference_rows[mixed.explained(TRUSTED)[mixed.suspect_rows]]
+        held = mixed.reference_rows[mixed.explained(CONFIG.merging.trusted)[mixed.suspect_rows]]
     whole = replace(whole, derived_fraction=_found(index.model, held), undrawn=int(wrong.sum()))
     return replace(whole, matches=matches, match_quality=quality, mixed=mixed)
 
@@ -138,8 +127,8 @@ def _without_undrawn(index: ReferenceIndex, seen: Bool, whole: Registration) -> 
 def _with_undrawn(
     index: ReferenceIndex, suspect: GaussianModel, seen: Bool, found: Registration, verdict: Verdict | None
 ) -> Registration:
-    """What was found in the rows that are drawn, told in all rows of the suspect. Of the others only those count that
-    are Gaussians which are hardly seen in the reference either: an original may have such."""
+    """What was found in the rows that are drawn, as matches of all rows of the suspect. Of the others only those
+    count that are Gaussians which are hardly seen in the reference either: an original may have such."""
     matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
     rows, others = np.flatnonzero(seen), np.flatnonzero(~seen)
     matches[rows], quality[rows] = found.matches, found.match_quality
@@ -196,7 +185,7 @@ def _answer(
     """The registration that follows from a verdict: every suspect Gaussian is matched; and by which matcher."""
     suspect = hands.bare(verdict.mirrored)
     matches, quality = verdict.match(suspect)
-    if quality.mean() < EXPLAINED:
+    if quality.mean() < CONFIG.explained:
         in_order = verdict.order_quality is not None
         sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng, in_order=in_order)
         grown = verdict if sized is None else replace(verdict, matcher=sized)
@@ -206,11 +195,11 @@ def _answer(
     rows = np.flatnonzero(matches >= 0)
     fit = verdict.fit
     if verdict.order_quality is None and len(rows) > 3:
-        part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
+        part = rows[:: max(1, len(rows) // CONFIG.fit_sample)]
         fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
     share = _found(index.model, matches)
-    told = matches, quality, share, True, tried
-    return Registration(fit.scale, fit.R, fit.t, *told, mirrored=verdict.mirrored), verdict
+    found = matches, quality, share, True, tried
+    return Registration(fit.scale, fit.R, fit.t, *found, mirrored=verdict.mirrored), verdict
 
 
 def _other_hand(
@@ -219,7 +208,8 @@ def _other_hand(
     """The registration with the other hand, if there is one, where this one leaves much over: a small piece left as it
     was hides no mirror. And how many alignments were weighed."""
     left = np.flatnonzero(rigid.matches < 0)
-    if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)) or not budget.allows("the other hand"):
+    least = max(CONFIG.least_rest, (1.0 - CONFIG.mostly) * len(rigid.matches))
+    if len(left) < least or not budget.allows("the other hand"):
         return [], 0
     rest = Hands(hands.suspect.take(left))
     other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False, budget=budget)
@@ -239,12 +229,12 @@ def _unmerge(
     index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator, budget: TimeBudget
 ) -> Registration:
     """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
-    if (plain.matches < 0).mean() <= LEFT_OVER or not budget.allows("merged Gaussians"):
+    if (plain.matches < 0).mean() <= CONFIG.left_over or not budget.allows("merged Gaussians"):
         return plain
     starts: list[tuple[bool, Similarity | None]] = [(False, None), (True, None)]
     if plain.found:
         # Where few are matched well, the place may be wrong itself.
-        starts = [(plain.mirrored, plain.similarity), *(starts if plain.match_quality.mean() < MOSTLY else [])]
+        starts = [(plain.mirrored, plain.similarity), *(starts if plain.match_quality.mean() < CONFIG.mostly else [])]
     for mirrored, start in starts:
         singles = None if start is None else (plain.matches, plain.match_quality)
         merged = register_merged(index, hands.of(mirrored), start, axis_rotations(), rng, singles)
@@ -253,11 +243,11 @@ def _unmerge(
     else:
         return plain
     mixtures, fit = merged.mixtures, merged.fit
-    sure = mixtures.explained(TRUSTED)[mixtures.suspect_rows]
+    sure = mixtures.explained(CONFIG.merging.trusted)[mixtures.suspect_rows]
     share = _found(index.model, mixtures.reference_rows[sure])
     gained = float(mixtures.quality.sum() - plain.match_quality.sum()) / len(plain.matches)
     # Noise makes mixtures of what are single ones: they must explain no worse, and some more.
-    if gained < 0.0 or (gained < GAIN and share < plain.derived_fraction + GAIN):
+    if gained < 0.0 or (gained < CONFIG.deformation.gain and share < plain.derived_fraction + CONFIG.deformation.gain):
         return plain
     tried = plain.hypotheses_tried + merged.tried
     pairs = merged.matches, merged.quality
@@ -282,13 +272,13 @@ def _bend(
     if not len(todo) or not budget.allows("deformations"):
         return rigid
     bent = register_deformed(index, suspect, todo, rng, budget)
-    if bent is None or bent.quality.sum() < rigid.mixtures.quality.sum() + GAIN * len(suspect):
+    if bent is None or bent.quality.sum() < rigid.mixtures.quality.sum() + CONFIG.deformation.gain * len(suspect):
         return rigid
     mirrored = rigid.mirrored != bent.mirrored
     rows = np.flatnonzero(bent.matches >= 0)
-    part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
+    part = rows[:: max(1, len(rows) // CONFIG.fit_sample)]
     fit = fit_suspect(hands.of(mirrored).means[part], reference.means[bent.matches[part]]) or Similarity.identity()
-    if not MIN_SCALE <= fit.scale <= MAX_SCALE:
+    if not CONFIG.similarity.min_scale <= fit.scale <= CONFIG.similarity.max_scale:
         return rigid
     tried = rigid.hypotheses_tried + bent.tried
     share = _found(reference, bent.matches)

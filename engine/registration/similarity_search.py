@@ -17,28 +17,12 @@ from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quate
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, confirm_similarity, fit_suspect, same_order
+from engine.registration.config import CONFIG, Agreement
 from engine.registration.hypotheses import Hypothesis, propose
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
-from engine.registration.match_kernels import Agreement
 
-EXACT = Agreement(size=0.08, edge=0.08, angle=0.12)
-"""Lossy trade formats: log scales in steps of 1/16, quaternions of 8 bits."""
-LOOSE = Agreement(size=0.35, edge=0.30, angle=0.40)
-"""Noise of a tenth of each attribute's standard deviation."""
-
-CANDIDATES = 3000
-"""Candidate pairs per search stage; the time of a stage grows with its square."""
-SEEDS, DRAWS = 64, 64
-"""Candidates around which triples are drawn, and triples per such candidate."""
-MIN_SCALE, MAX_SCALE = 1e-3, 1e3
-"""Scales outside are not credible."""
-MIN_EVIDENCE = 12.0
-"""Nats of evidence a hypothesis needs before it is tested against the whole models."""
-SAMPLE, GLANCE = 4000, 400
-"""Suspect Gaussians on which a hypothesis is tested and refined, and on which the turns of the axes are compared."""
-MIN_MATCHES = 5
-"""Distinct reference Gaussians matched in that sample below which nothing is found."""
+_CONFIG = CONFIG.similarity
 BOTH = (False, True)
 """Whether mirrored; the suspect as it came is searched first."""
 
@@ -107,7 +91,7 @@ def _nearer_hand(
     reference: GaussianModel, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
 ) -> bool:
     """The hand that lies nearer to the reference, were the order kept; a flat thing lies near with either."""
-    rows = sample_rows(len(reference), SAMPLE, rng)
+    rows = sample_rows(len(reference), _CONFIG.sample, rng)
     target, source = reference.means[rows], hands.suspect.means[rows]
     errors = []
     for mirrored in hands_searched:
@@ -130,7 +114,7 @@ def _same_frame(
     index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
 ) -> tuple[Verdict | None, int]:
     """Step 2: no scale, no translation, at most a turn of the axes, and a mirror."""
-    rows = sample_rows(len(hands.suspect), GLANCE, rng)
+    rows = sample_rows(len(hands.suspect), _CONFIG.glance, rng)
     part = hands.bare(False).take(rows)
     quarter = axis_rotations()
     hits: list[int] = []
@@ -144,7 +128,7 @@ def _same_frame(
         if max(hits) > 0.5 * len(rows):
             break
     best = int(np.argmax(hits))
-    if hits[best] < max(MIN_MATCHES, 0.01 * len(rows)):
+    if hits[best] < max(_CONFIG.least_matches, 0.01 * len(rows)):
         return None, len(hits)
     fit = Similarity(1.0, quarter[best % len(quarter)], np.zeros(3))
     return _confirm(index, hands, hands_searched[best // len(quarter)], fit, None, rng), len(hits)
@@ -164,23 +148,25 @@ def _search(
     tried = 0
     stages = [(True, False), (True, True)] + ([(False, False)] if colorless else [])
     for colors, deep in stages:
-        queries = (10 if deep else 2) * CANDIDATES
+        queries = (10 if deep else 2) * _CONFIG.candidates
         if deep and len(suspect) <= queries // 5:
             continue  # the shallow search had them all
         if not budget.allows("similarities"):
             break
         looks = index.features(degree, colors=colors)
-        pairs = looks.candidates(suspect, CANDIDATES, rng, queries=queries, deep=deep)
+        pairs = looks.candidates(suspect, _CONFIG.candidates, rng, queries=queries, deep=deep)
         votes = np.exp(pairs.size)
-        pairs = pairs.take((votes >= MIN_SCALE / 2) & (votes <= MAX_SCALE * 2))
+        pairs = pairs.take((votes >= _CONFIG.min_scale / 2) & (votes <= _CONFIG.max_scale * 2))
         theirs = index.model.quats[pairs.reference], suspect.quats[pairs.suspect]
-        for level in (EXACT, LOOSE):
+        for level in (_CONFIG.exact, _CONFIG.loose):
             for agreement in (level, Agreement(level.size, level.edge, np.inf)):
                 scene, seed = (index.extent, index.chance), int(rng.integers(2**31))
                 credible: list[tuple[Hypothesis, bool]] = []
                 for mirrored in hands_searched:
                     seen, turn = pairs.mirrored() if mirrored else pairs, turns(*theirs, mirrored)
-                    hypotheses, count = propose(seen, turn, agreement, *scene, seeds=SEEDS, draws=DRAWS, seed=seed)
+                    hypotheses, count = propose(
+                        seen, turn, agreement, *scene, seeds=_CONFIG.seeds, draws=_CONFIG.draws, seed=seed
+                    )
                     tried += count
                     credible += [(h, mirrored) for h in hypotheses[:2] if _credible(h)]
                 # A flat or noisy thing is explained by either hand, but by its own far better.
@@ -200,7 +186,9 @@ def turns(reference: npt.NDArray[np.float32], suspect: npt.NDArray[np.float32], 
 
 def _credible(hypothesis: Hypothesis) -> bool:
     """Whether it is worth testing."""
-    return hypothesis.evidence >= MIN_EVIDENCE and MIN_SCALE <= hypothesis.fit.scale <= MAX_SCALE
+    return (
+        hypothesis.evidence >= _CONFIG.least_evidence and _CONFIG.min_scale <= hypothesis.fit.scale <= _CONFIG.max_scale
+    )
 
 
 def _confirm(
@@ -212,6 +200,8 @@ def _confirm(
     rng: np.random.Generator,
 ) -> Verdict | None:
     suspect = hands.bare(mirrored)
-    rows = sample_rows(len(suspect), SAMPLE, rng)
-    verdict = confirm_similarity(index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=MIN_MATCHES)
+    rows = sample_rows(len(suspect), _CONFIG.sample, rng)
+    verdict = confirm_similarity(
+        index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=_CONFIG.least_matches
+    )
     return None if verdict is None else replace(verdict, mirrored=mirrored)

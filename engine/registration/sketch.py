@@ -26,48 +26,20 @@ from engine.model import Float32, Float64, GaussianModel, Int64
 from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import MIRROR
 from engine.registration.coarse import FEATURES, Coarse, Crowd, agreement, describe
+from engine.registration.config import CONFIG
 from engine.registration.match_candidates import by_region, invariant_features, log_sizes
 from engine.registration.match_kernels import Pairs, degrees_of_agreement
-from engine.registration.similarity_search import LOOSE, turns
+from engine.registration.similarity_search import turns
 from engine.registration.visibility import only_drawn
 
-__all__ = ["ALIKE", "LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
+__all__ = ["LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
 
-ALIKE = 6
-"""Agreeing partners from which a suspect may derive from a model. On seven real scenes under the attacks of
-`engine.lab.sim` foreign pairs reach at most 4; derivatives, down to a tenth of the model or noise of a fifth of every
-attribute's spread, at least 15."""
-
-POINTS = 2048
-"""Gaussians in a sketch: 60 kB."""
-SUSPECT_POINTS = 8192
-"""Gaussians of a suspect that are looked up in an index: what was put into a foreign scene shares its regions."""
-POOL = 100_000
-"""At most twice as many Gaussians are weighed for a sketch: a matter of time alone."""
-REGIONS = 8
-"""Regions along each axis: a small piece of the model holds its share of the sketch."""
-PLACES = 256
-"""Places described in a sketch: 14 kB."""
-SUSPECT_PLACES, LADDER_STEPS = 2000, 5
-"""Places described in a suspect at each size of neighbourhood, and the sizes: those of a piece of 0.4 of the whole's
-extent reach the whole's."""
-NATS = 12.0
-"""Evidence of the places that counts as one agreeing partner. On seven real scenes foreign pairs, pieces of them and
-noisy ones reach at most 50, models merged to a twentieth at least 280."""
-MOST_PAIRS = 512
-"""Partners compared for agreement, the least ambiguous ones; the time grows with the square."""
-
-CROWD = 256
-"""Gaussians of one look that a suspect is searched by."""
-
+_CONFIG = CONFIG.sketch
 _BUCKETS = 1 << 20
 _MIX = np.array([73856093, 19349663, 83492791, 49979687, 67867979, 32452843], dtype=np.int32)
 """Features are compared by a hash; two looks in one bucket count as one."""
 
-LOOK_ERRORS = np.array([0.08, 0.08, 0.2, 0.12, 0.12, 0.12], dtype=np.float32)
-"""Expected errors of the looks, which a derivative's may differ by: rounding, noise, a mark, a slight tint."""
-_BOX, _LIMIT2 = 3.0, 16.0
-"""Search radius per look and in all, in those errors."""
+LOOK_ERRORS = np.array(CONFIG.sketch.look_errors, dtype=np.float32)
 
 _MAGIC, _FIRST_MAGIC = b"M3DGSSK2", b"M3DGSSK1"
 """The first version had no places."""
@@ -78,8 +50,8 @@ _PLACE = np.dtype([("where", "<f4", 3), ("features", "<f2", FEATURES), ("size", 
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """P Gaussians of a model, at most POINTS: centres, looks (P, 6) that no similarity changes (two log size ratios,
-    opacity logit, DC), sizes (P,), the mean log of the two larger scales, and rotations; and at most PLACES places."""
+    """P Gaussians of a model (at most `points`): centers, looks (P, 6) that no similarity changes (two log size ratios,
+    opacity logit, DC), sizes (P,), the mean log of the two larger scales, and rotations; at most `places` places."""
 
     means: Float32
     looks: Float32
@@ -108,8 +80,8 @@ class Sketch:
         magic, count = _PREFIX.unpack_from(data)
         end = _PREFIX.size + count * _POINT.itemsize
         places, odd = divmod(len(data) - end, _PLACE.itemsize)
-        most = {_MAGIC: PLACES, _FIRST_MAGIC: 0}.get(magic, -1)
-        if count > POINTS or not 0 <= places <= most or odd:
+        most = {_MAGIC: _CONFIG.places, _FIRST_MAGIC: 0}.get(magic, -1)
+        if count > _CONFIG.points or not 0 <= places <= most or odd:
             raise FormatError("this is no sketch")
         points = np.frombuffer(data, dtype=_POINT, offset=_PREFIX.size, count=count)
         means, looks, sizes, quats = (np.asarray(points[name], dtype=np.float32) for name in _POINT.names or ())
@@ -121,10 +93,10 @@ class Sketch:
 
 def make_sketch(model: GaussianModel) -> Sketch:
     """The sketch of a model with at least one Gaussian; the same model gives the same sketch."""
-    rows = _telling(model, POINTS)
+    rows = _telling(model, _CONFIG.points)
     looks = invariant_features(model, rows, 0).astype(np.float32)
     sizes = log_sizes(model, rows).astype(np.float32)
-    return Sketch(model.means[rows], looks, sizes, model.quats[rows], describe(model, PLACES))
+    return Sketch(model.means[rows], looks, sizes, model.quats[rows], describe(model, _CONFIG.places))
 
 
 class SuspectIndex:
@@ -140,12 +112,12 @@ class SuspectIndex:
 
     @cached_property
     def _crowd(self) -> Crowd:
-        return Crowd(describe(self.model, SUSPECT_PLACES, LADDER_STEPS))
+        return Crowd(describe(self.model, _CONFIG.suspect_places, _CONFIG.ladder_steps))
 
     @cached_property
     def telling_looks(self) -> Float32:
         """(P, 6) looks of Gaussians among which are those that a sketch of this model, or of a part, would hold."""
-        return invariant_features(self.model, _telling(self.model, SUSPECT_POINTS), 0).astype(np.float32)
+        return invariant_features(self.model, _telling(self.model, _CONFIG.suspect_points), 0).astype(np.float32)
 
     @property
     def place_features(self) -> Float32:
@@ -153,19 +125,21 @@ class SuspectIndex:
         return self._crowd.suspect.features
 
     def resemblance(self, sketch: Sketch) -> int:
-        """How many of a sketch's Gaussians, 0 to MOST_PAIRS - 1, have partners here that agree with one of them, or how
-        much its places say, counted alike; the larger. See ALIKE."""
+        """How many of a sketch's Gaussians, 0 to `most_pairs` - 1, have partners here that agree with one of them, or
+        how much its places say, counted alike; the larger. See `SketchConfig.alike`."""
         votes = self._votes(sketch)
-        if votes >= ALIKE:
+        if votes >= _CONFIG.alike:
             return votes
-        return max(votes, int(min(agreement(sketch.coarse, self._crowd) / NATS, MOST_PAIRS - 1)))
+        return max(votes, int(min(agreement(sketch.coarse, self._crowd) / _CONFIG.nats, _CONFIG.most_pairs - 1)))
 
     def _votes(self, sketch: Sketch) -> int:
-        near = self._grid.query(sketch.looks / LOOK_ERRORS, _no_turn(len(sketch)), box=_BOX, limit2=_LIMIT2)
+        near = self._grid.query(
+            sketch.looks / LOOK_ERRORS, _no_turn(len(sketch)), box=_CONFIG.box, limit2=_CONFIG.limit2
+        )
         found = np.flatnonzero(near.index >= 0)
         if len(found) < 2:
             return 0
-        mine = found[np.argsort(-near.probability[found], kind="stable")[:MOST_PAIRS]]
+        mine = found[np.argsort(-near.probability[found], kind="stable")[: _CONFIG.most_pairs]]
         theirs = self._rows[near.index[mine]]
         size = (sketch.sizes[mine] - log_sizes(self.model, theirs).astype(np.float32)).astype(np.float64)
         best = 0
@@ -173,7 +147,7 @@ class SuspectIndex:
             means = self.model.means[theirs] * (MIRROR if mirrored else 1.0)
             turn = turns(sketch.quats[mine], self.model.quats[theirs], mirrored)
             pairs = Pairs(means.astype(np.float64), sketch.means[mine].astype(np.float64), size, turn)
-            best = max(best, int(degrees_of_agreement(pairs, LOOSE).max()))
+            best = max(best, int(degrees_of_agreement(pairs, CONFIG.similarity.loose).max()))
         return best
 
 
@@ -181,26 +155,26 @@ def _telling(model: GaussianModel, count: int) -> Int64:
     """At most `count` rows, ascending, of the rarest looks in every region of the visible half: the faint one is what
     pruning takes first."""
     rows = np.flatnonzero(model.opacity_logits >= np.median(model.opacity_logits))
-    rows = rows[:: max(1, len(rows) // POOL)]
+    rows = rows[:: max(1, len(rows) // _CONFIG.pool)]
     rarity = _rarity(invariant_features(model, rows, 0))
-    return np.asarray(rows[np.sort(by_region(model.means[rows], rarity, count, REGIONS))])
+    return np.asarray(rows[np.sort(by_region(model.means[rows], rarity, count, _CONFIG.regions))])
 
 
 def _uncrowded(points: Float32) -> Int64:
-    """Indices, ascending, of at most CROWD points of one look.
+    """Indices, ascending, of at most `crowd` points of one look.
 
     Where thousands look the same, a partner carries no information, and searching for it takes most of the time.
     """
     steps = np.floor(np.float32(0.5) * points).astype(np.int32)
     bucket = (steps * _MIX).sum(axis=1, dtype=np.int32) & (_BUCKETS - 1)
-    crowded = np.bincount(bucket, minlength=_BUCKETS) > CROWD
+    crowded = np.bincount(bucket, minlength=_BUCKETS) > _CONFIG.crowd
     if not crowded.any():
         return np.arange(len(points))
     kept = ~crowded[bucket]
     rows = np.flatnonzero(~kept)
     rows = rows[np.argsort(bucket[rows], kind="stable")]
     _, starts, counts = np.unique(bucket[rows], return_index=True, return_counts=True)
-    kept[rows[np.arange(len(rows)) - np.repeat(starts, counts) < CROWD]] = True
+    kept[rows[np.arange(len(rows)) - np.repeat(starts, counts) < _CONFIG.crowd]] = True
     return np.flatnonzero(kept)
 
 

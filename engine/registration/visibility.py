@@ -1,4 +1,4 @@
-"""Which Gaussians of a model are ever drawn: anybody may add any number of others to a suspect, and nobody sees it."""
+"""Which Gaussians of a model are ever drawn: others can be added to a suspect in any number, invisibly."""
 
 import math
 
@@ -6,17 +6,17 @@ import numpy as np
 
 from engine.model import Bool, GaussianModel
 from engine.raster.settings import ALPHA_SKIP
+from engine.registration.config import CONFIG
 
 __all__ = ["FAINTEST", "HARDLY", "SMALLEST", "drawn", "only_drawn"]
 
-_ROUNDED = 0.99
-"""One step of 8-bit opacity is ALPHA_SKIP itself and counts as drawn; half floats store it up to 0.2 % off."""
-FAINTEST = math.log(_ROUNDED * ALPHA_SKIP / (1.0 - _ROUNDED * ALPHA_SKIP))
+_ROUNDED, _HARDLY = CONFIG.visibility.rounded * ALPHA_SKIP, CONFIG.visibility.hardly * ALPHA_SKIP
+FAINTEST = math.log(_ROUNDED / (1.0 - _ROUNDED))
 """Opacity logit below which no viewer draws a Gaussian: its alpha stays below one gray level at its very center."""
-HARDLY = math.log(2.0 * ALPHA_SKIP / (1.0 - 2.0 * ALPHA_SKIP))
+HARDLY = math.log(_HARDLY / (1.0 - _HARDLY))
 """Opacity logit below which rounding or slight noise may make a Gaussian of an original one that no viewer draws."""
-SMALLEST = math.log(1e-10)
-"""Logarithm of the largest scale, scene units, below which a Gaussian has no size: a scale of zero is read as 1e-13."""
+SMALLEST = math.log(CONFIG.visibility.smallest)
+"""Logarithm of the largest scale below which a Gaussian has no size."""
 
 
 def drawn(model: GaussianModel, faintest: float = FAINTEST) -> Bool:

@@ -27,7 +27,8 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Verification, count_tries, verify_images, verify_model
 from engine.flows.verify.suspect_evidence import derivation_of_model
-from engine.flows.views.camera_rig import GOLDEN_ANGLE, LANDMARK_SIZE, make_rig
+from engine.flows.views.camera_rig import GOLDEN_ANGLE, make_rig
+from engine.flows.views.config import CONFIG
 from engine.model import Camera, Float32, GaussianModel, Int64
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.registration.registration_search import RegistrationConfig, register
@@ -164,7 +165,7 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     reference = posed.take(rows)
     landmarks = None
     if landmark_views:
-        landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *LANDMARK_SIZE))
+        landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *CONFIG.rig.landmark_size))
     return replace(opened, reference=reference, layout=layout, copies=copies, landmarks=landmarks, kept=kept)
 
 

@@ -11,13 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import SH_C0, Float32, Float64
+from engine.watermark.config import CONFIG
 
 LUMA = np.array([0.299, 0.587, 0.114]) / np.linalg.norm([0.299, 0.587, 0.114])
 """Direction of luma (BT.601) in RGB: what JPEG keeps best."""
-
-CHROMA_FLOOR = 0.12
-"""Least amplitude of a carrier against a pure luma carrier. Chroma is subsampled in every screenshot, but on the
-model itself all three carriers read equally well and three carriers hold three times the chips."""
 
 
 CARRIERS = 3
@@ -34,12 +31,12 @@ class Carriers:
 
 
 def make_carriers(
-    codebook: Float32, usage: Float64, chroma_floor: float = CHROMA_FLOOR, *, whole: bool = False
+    codebook: Float32, usage: Float64, chroma_floor: float = CONFIG.planning.chroma_floor, *, whole: bool = False
 ) -> Carriers:
     """Right singular vectors of the usage-weighted codebook's DC block.
 
     The colours are taken as they show (0.5 + C0 c, uncentred), so the first direction has one sign throughout and lies
-    near luma; signs are fixed (largest component positive) to be the same on every machine.
+    near luma; signs are fixed (largest component positive) so that every machine gives the same signs.
 
     Parameters
     ----------
@@ -48,7 +45,7 @@ def make_carriers(
     usage : (M,) float64
         How much of the images each code vector covers.
     chroma_floor : float
-        See CHROMA_FLOOR.
+        See `PlanningConfig.chroma_floor`.
     whole : bool
         Of all coefficients, as the paper has it, instead of the DC block: the first CARRIERS singular vectors.
     """

@@ -144,9 +144,9 @@ class Claim:
     # z of both layers of the mark together and of each alone; the claim rests on the strongest. None where there is one
     layers: dict[str, float] | None = None
     # z of the layer by which this copy differs from others, tries counted in `copy_named`; None where there is no such
-    # layer: of records before format 3, whose claim is about one copy, and of models marked for nobody
+    # layer: of records before format 3, whose claim is about one copy, and of models marked without a recipient
     copy_z: float | None = None
-    # Whether it is this copy, or made from it, at CHANCE_RATE: which recipient it was is asked of an asset that is the
+    # Whether it is this copy, or made from it, at CHANCE_RATE: the recipient is sought in an asset that is the
     # owner's already. None where `copy_z` is
     copy_named: bool | None = None
     # Under which the answer would be a claim, where `would_be_claim_if_attested`
@@ -167,7 +167,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a claim rests on beside evidence and mark: what was asked, and what is known without chips."""
+    """What a claim rests on besides evidence and mark: what was tested, and what is known without chips."""
 
     tries: int = 1  # number of (record, transform, route) hypotheses tried in this verification, >= 1
     route: str = ""  # kind of evidence

@@ -11,11 +11,9 @@ import numpy as np
 
 from engine.kernels.jit import kernel
 from engine.model import Float32, Float64, Int32, Int64
+from engine.watermark.config import CONFIG
 
 __all__ = ["CodeShares", "combined"]
-
-_BLEND = 4.0
-"""A few members say little about their own spread: the whole scene's is blended in, worth so many members."""
 
 
 class CodeShares:
@@ -67,7 +65,7 @@ class CodeShares:
         members = total**2 / np.maximum(self._sums(trust[:, None] ** 2, 4)[:, 0], 1e-300)  # as many as weigh alike
         overall = (trust[:, None] * left**2).sum(axis=0) / max(float(trust.sum()), 1e-12)  # (R,)
         own = self._sums(trust[:, None] * left**2, 2) / np.maximum(total, 1e-12)[:, None]
-        spread = (members[:, None] * own + _BLEND * overall) / (members[:, None] + _BLEND)
+        spread = (members[:, None] * own + CONFIG.evidence.blend * overall) / (members[:, None] + CONFIG.evidence.blend)
         seen = total > 1e-9
         effective = np.where(seen, squared / np.maximum(total, 1e-12) ** 2, 0.0)
         return np.where(seen[:, None], spread * effective[:, None], np.inf)

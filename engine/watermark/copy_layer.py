@@ -1,7 +1,7 @@
-"""The copy layer: displacements on top of the owner's, by which one recipient's copy is told from another (DESIGN 4.5).
+"""The copy layer: displacements on top of the owner's, by which recipients' copies differ (DESIGN 4.5).
 
 Its values are drawn from a bell curve by the key of one copy (`spreading.spread_copy`), on cells and Gaussians that all
-copies share, beside the owner's layer, which is the same in all copies. So k copies give k equations in k + 1 unknowns:
+copies share, on top of the owner's layer, which is in all copies. So k copies give k equations in k + 1 unknowns:
 however they are put together, what is left carries the owner's layer and the mean of their own.
 """
 
@@ -23,7 +23,7 @@ __all__ = ["CopyLayer", "without_owner"]
 
 @dataclass(frozen=True, eq=False)
 class CopyLayer:
-    """Where and how far copies may differ: the same for all of them."""
+    """Where and how far copies may differ; all copies of an asset have one layer in common."""
 
     layout: Layout
     grain: Grain
@@ -40,7 +40,7 @@ class CopyLayer:
         subkey : bytes
             Of that copy.
         kept : (M,) bool, optional
-            Which Gaussians of the committed reference are still asked for.
+            Which Gaussians of the committed reference are still needed.
         gaussians : int
             M, or of the reference where all are.
         """

@@ -13,17 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Float32, Float64, GaussianModel
+from engine.watermark.config import CONFIG
 from engine.watermark.grain_kernels import displace
+
+_CONFIG = CONFIG.grain
+
 
 ATTRIBUTES = 6
 """Chips of one Gaussian."""
-
-FLAT = 0.3
-"""A thin axis counts as this much of the middle one. What lies across a flat Gaussian is seen edge-on only: 0.3 shows
-no more than 0 does (three scenes), and holds where formats round a sheet's thickness away."""
-
-THINNEST = 1e-5
-"""Of the middle scale; below it a Gaussian is a disc, whose thickness no file keeps."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +52,13 @@ class Grain:
 def units(log_scales: Float32) -> Float64:
     """(N, 3) length along each own axis, scene units, of which a centre moves a fixed part."""
     scales = np.exp(log_scales.astype(np.float64))  # (N, 3)
-    return np.maximum(scales, FLAT * _middle(scales)[:, None])
+    return np.maximum(scales, _CONFIG.flat * _middle(scales)[:, None])
 
 
 def thin(log_scales: Float32) -> Bool:
     """(N, 3) axes whose scale is no more than the thickness of a disc."""
     scales = np.exp(log_scales.astype(np.float64))
-    return np.asarray(scales < THINNEST * _middle(scales)[:, None])
+    return np.asarray(scales < _CONFIG.thinnest * _middle(scales)[:, None])
 
 
 def _middle(scales: Float64) -> Float64:
@@ -80,6 +77,6 @@ def roughen(model: GaussianModel, grain: Grain, signs: Float32) -> GaussianModel
         Of each chip: chip times bit, times its size where chips have sizes.
     """
     means, log_scales = np.empty_like(model.means), np.empty_like(model.log_scales)
-    steps, limits = np.array([grain.center, grain.scale]), np.array([FLAT, THINNEST])
+    steps, limits = np.array([grain.center, grain.scale]), np.array([_CONFIG.flat, _CONFIG.thinnest])
     displace(model.means, model.log_scales, model.quats, signs, steps, limits, means, log_scales)
     return model.with_(means=means, log_scales=log_scales)

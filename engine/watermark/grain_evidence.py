@@ -16,19 +16,19 @@ from engine.kernels.thread_crew import thread_count
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
-from engine.watermark.grain import ATTRIBUTES, FLAT, THINNEST, Grain
+from engine.watermark.config import CONFIG
+from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.grain_kernels import axes_of, middle_of
 from engine.watermark.model_evidence import Evidence
 
-SURE = 0.8
-"""Cosine between an axis and its partner's from which the axes tell which scale is which; below, their order does."""
+FLAT, THINNEST = CONFIG.grain.flat, CONFIG.grain.thinnest
+SURE = CONFIG.grain.sure
 SIZES = 16
 """Classes of like size; each spans a factor of two, the middle one begins at the median."""
 OCTAVES, PER_OCTAVE = 48, 8
 """Range and resolution of the histogram in which the usual size of a difference is looked up."""
 _WIDTH = OCTAVES * PER_OCTAVE
-LOST = 4.0
-"""Deviations beyond which a difference is no displacement but a wrong match, and says nothing."""
+LOST = CONFIG.grain.lost
 
 
 @inlined
@@ -212,7 +212,7 @@ def _weigh(y, trust, log_scales, origin, usual, amplitudes, weights, linear, sig
 
 
 def _usual(y: Float64, trust: Float64, log_scales: Float32, origin: float) -> Float64:
-    """(2, SIZES) robust deviation of differences of the same kind and class: the median size over 0.6745.
+    """(2, SIZES) robust deviation of differences of one kind and class: the median size over 0.6745.
 
     From a histogram over the logarithm of the size, PER_OCTAVE to a factor of two.
     """

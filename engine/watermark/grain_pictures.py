@@ -9,7 +9,8 @@ import numpy as np
 
 from engine.model import Float32, GaussianModel
 from engine.raster import Rendering, View, backward
-from engine.watermark.grain import ATTRIBUTES, FLAT, THINNEST, Grain, thin
+from engine.watermark.config import CONFIG
+from engine.watermark.grain import ATTRIBUTES, Grain, thin
 from engine.watermark.grain_kernels import pull_along
 
 
@@ -39,5 +40,6 @@ class GrainView:
 def _along_own_axes(model: GaussianModel, means: Float32, log_scales: Float32) -> Float32:
     """(6 N,) gradients by the grain's own coordinates, from those by centres and log scales (N, 3)."""
     out = np.empty((len(model), ATTRIBUTES), dtype=np.float32)
-    pull_along(model.log_scales, model.quats, means, log_scales, np.array([FLAT, THINNEST]), out)
+    limits = np.array([CONFIG.grain.flat, CONFIG.grain.thinnest])
+    pull_along(model.log_scales, model.quats, means, log_scales, limits, out)
     return out.reshape(-1)

@@ -2,7 +2,7 @@
 
 The residual is weighted (its subbands by how reliable they look, or by the exact score of the JPEG quantiser it
 went through), pulled back by the rasterizer's VJP, and summed over the members of each code vector. Inputs are the
-suspect and the unmarked reference alone, never a chip. The grain's chips are read from the same residual
+suspect and the unmarked reference alone, never a chip. The grain's chips are read from this residual
 (`grain_pictures`).
 """
 
@@ -24,23 +24,17 @@ from engine.pictures.jpeg.block_grid import find_grid
 from engine.pictures.jpeg.quantizer_score import block_spread, jpeg_cotangent, match_exposure
 from engine.raster import View
 from engine.watermark.alike_kernels import scale_alike, sum_alike
+from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.spreading import public_signs
 
-_ROWS = 1 << 16
+_CONFIG = CONFIG.evidence
+
 
 Floats = TypeVar("Floats", Float32, Float64)
-
-CLIP = 8.0
-"""Evidence of one chip saturates at this many medians of its carrier's: a few code vectors that fill the picture
-(fog, a wall) would otherwise outweigh thousands."""
-ALIKE = 16
-"""Classes of about equally many chips of like response, whose scatter is measured together."""
-_SAMPLE = 1 << 16
-"""Chips of one kind that tell where the classes end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +85,10 @@ class PictureEvidence:
         return self._together(said, layers, strength)
 
     def by_scatter(self, strength: float = 1.0) -> Evidence:
-        """The same pictures read otherwise: chips of like response count for what their own scatter leaves of it.
+        """These pictures, read otherwise: chips of like response count for what their own scatter leaves of it.
 
         What an attacker's washing left is loud in a few chips and noise in the rest; of untouched pictures this reads
-        less. Both are asked, and counted.
+        less. Both readings are tried, and counted.
         """
         said, layers = self._exact(self.y, self.response)
         for layer, (_, kinds) in zip(layers, self.parts, strict=True):
@@ -133,8 +127,8 @@ def _balance(grain: Evidence, tint: Evidence) -> None:
 def _promise(layer: Evidence) -> tuple[float, float]:
     """z that a layer would show by its response, and the norm that it would be divided by."""
     squared = 0.0
-    for start in range(0, len(layer.y), _ROWS):
-        shown = layer.weights[start : start + _ROWS] * layer.y[start : start + _ROWS]
+    for start in range(0, len(layer.y), _CONFIG.rows):
+        shown = layer.weights[start : start + _CONFIG.rows] * layer.y[start : start + _CONFIG.rows]
         squared += float(shown @ shown)
     norm = math.sqrt(squared)
     return (float(layer.weights @ layer.signal) / norm if norm > 0 else 0.0), norm
@@ -144,12 +138,13 @@ def _scale_by_scatter(layer: Evidence, kinds: int) -> None:
     """Scale chips of like response by response over scatter: the matched filter, as measured."""
     for kind in range(kinds):
         y, weights, signal = layer.y[kind::kinds], layer.weights[kind::kinds], layer.signal[kind::kinds]
-        step = max(1, len(y) // _SAMPLE)
+        step = max(1, len(y) // _CONFIG.sample)
         loud = np.abs(weights[::step] * signal[::step])
         loud = loud[loud > 0]
-        edges = np.quantile(loud, np.arange(1, ALIKE) / ALIKE) if len(loud) else np.zeros(ALIKE - 1)
-        sums = np.zeros((-(-len(y) // _ROWS), 2, ALIKE))
-        sum_alike(y, weights, signal, edges, sums, _ROWS)
+        classes = np.arange(1, _CONFIG.alike)
+        edges = np.quantile(loud, classes / _CONFIG.alike) if len(loud) else np.zeros(len(classes))
+        sums = np.zeros((-(-len(y) // _CONFIG.rows), 2, _CONFIG.alike))
+        sum_alike(y, weights, signal, edges, sums, _CONFIG.rows)
         expected, scatter = sums.sum(axis=0)
         scale_alike(y, weights, signal, edges, np.maximum(expected, 0.0) / np.maximum(scatter, 1e-300))
 
@@ -303,12 +298,12 @@ def _public_pattern(layout: Layout, view: View) -> Float32:
 
 
 def _limits(evidence: Floats, carriers: int) -> Floats:
-    """(C,) where evidence saturates: CLIP medians of what the picture shows, for each carrier."""
+    """(C,) where evidence saturates: `clip` medians of what the picture shows, for each carrier."""
     limits = np.empty_like(evidence)
     for r in range(carriers):
         shown = np.abs(evidence[r::carriers])
         shown = shown[shown > 0]
-        limits[r::carriers] = CLIP * float(np.median(shown)) if len(shown) else 1.0
+        limits[r::carriers] = _CONFIG.clip * float(np.median(shown)) if len(shown) else 1.0
     return limits
 
 

@@ -95,7 +95,7 @@ class OwnerKey:
     def derive(self, purpose: str, context: bytes, length: int = SUBKEY_BYTES) -> bytes:
         """Sub-key for one purpose in one context (HKDF-SHA256).
 
-        The same for the same (key, purpose, context, length); else unrelated. Lengths of one (purpose, context) are
+        One sub-key for one (key, purpose, context, length); others are unrelated. Lengths of one (purpose, context) are
         prefixes of one another, so each purpose keeps to one length. ValueError if the purpose is empty or holds a NUL.
 
         Parameters
@@ -181,7 +181,7 @@ class OwnerKey:
 
 
 def _refuse_shared(descriptor: int, name: str) -> None:
-    """What others can read is no secret; where a file has no such rights, as on Windows, nothing is asked."""
+    """What others can read is no secret; where files have no such rights, as on Windows, nothing is checked."""
     mode = stat.S_IMODE(os.fstat(descriptor).st_mode)
     if os.name == "posix" and mode & 0o077:
         raise KeyFileError(f"{name!r} may be read or written by others (mode {mode:04o}): chmod 600 {name}")

@@ -4,7 +4,7 @@ A trained model that went through a byte format has few values of each attribute
 moved them in between would lie open: the distance to the nearest lattice value is the mark. So marked values lie on the
 same lattice, by stochastic rounding whose dither follows from the key: on average each is where the plan wants it.
 
-Lattices are found in the values themselves, column by column, since nobody says through which formats a file went:
+Lattices are found in the values themselves, column by column, since a file does not say through which formats it went:
 
 - a *table*: few distinct values (codebooks of `.sog`);
 - *even* steps, plain (bytes; 24-bit centres of `.spz`) or of sign(x) log(1 + |x|) (16-bit centres of `.sog`);
@@ -18,22 +18,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from engine.model import Bool, Float32, Float64, GaussianModel
+from engine.watermark.config import CONFIG
 from engine.watermark.keys import uniform
 
 __all__ = ["Lattices", "find_lattices"]
 
-FEW = 1.0 / 3.0
-"""Distinct values, in rows, up to which they are a table."""
+_CONFIG = CONFIG.lattice
 CHUNK = 256
 """Rows of a chunk."""
 CHUNK_LEVELS = (2047, 1023, 255)
 """Steps between the least and the largest value of a chunk."""
-FINEST = 2.0**-21
-"""Step of an even lattice, in its largest value, below which floats themselves are no coarser."""
-OFF = 0.05
-"""How far, in steps and on average, values of a lattice lie from it by rounding: by chance it is a quarter."""
-LEAST_ROWS = 64
-"""Rows below which nothing is found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +60,8 @@ class Even:
     """Even steps, in the values or in their signed logarithm; in all of a column, or by chunks."""
 
     origin: Float64  # () or (N,)
-    spacing: Float64  # the same; 0 where a chunk has one value
-    most: Float64  # last whole place, the same; the first is 0
+    spacing: Float64  # () or (N,); 0 where a chunk has one value
+    most: Float64  # () or (N,) last whole place; the first is 0
     logarithmic: bool = False
     known: Float32 = field(default_factory=lambda: np.empty(0, np.float32))  # distinct values in order, of no chunks
 
@@ -150,9 +144,8 @@ FREE = Lattices()
 """Values that may be moved anywhere."""
 
 
-LEAST_MOVE = {"means": 0.25, "log_scales": 0.25, "dc": 0.05}
-"""Of a step that a displacement must be to be rounded, up or down; below, the value stays. A rare whole step says
-little of a small displacement, and shows. Of colors, code vectors average over many."""
+_GEOMETRY = _CONFIG.least_move_geometry
+LEAST_MOVE = {"means": _GEOMETRY, "log_scales": _GEOMETRY, "dc": _CONFIG.least_move_color}
 
 
 def _round(lattice: Lattice, before: Float32, after: Float32, dither: Float64, least: float) -> Float32:
@@ -178,12 +171,12 @@ def _find(values: Float32) -> Lattice | None:
     """The lattice of one column (N,)."""
     values = np.ascontiguousarray(values)
     distinct = np.unique(values)
-    if len(values) < LEAST_ROWS or len(distinct) < 2 or not np.isfinite(distinct).all():
+    if len(values) < _CONFIG.least_rows or len(distinct) < 2 or not np.isfinite(distinct).all():
         return None
     plain = _even(distinct.astype(np.float64))
     if plain is not None:
         return replace(plain, known=distinct)
-    if len(distinct) <= FEW * len(values):
+    if len(distinct) <= _CONFIG.few * len(values):
         return Table(distinct.astype(np.float64))
     logs = _even(_signed_log(distinct))
     if logs is not None:
@@ -202,9 +195,9 @@ def _even(values: Float64) -> Even | None:
     The least gap is a step or a few: more and more gaps are held against it, and the step is fitted to all so far.
     """
     gaps = np.diff(values)
-    finest = FINEST * float(np.abs(values).max())
+    finest = _CONFIG.finest * float(np.abs(values).max())
     clear = gaps[gaps > finest]
-    if len(clear) < LEAST_ROWS // 2:
+    if len(clear) < _CONFIG.least_rows // 2:
         return None
     least = float(clear.min())
     for parts in (1, 2, 3):
@@ -234,7 +227,7 @@ def _fitted(values: Float64, gaps: Float64, step: float) -> float | None:
         across = values[min(stretch, len(values) - 1) :] - values[: max(1, len(values) - stretch)]
         across = across[:: max(1, len(across) // 512)]
         counts = np.rint(across / step)
-        if float(np.abs(across / step - counts).mean()) > 4.0 * OFF:
+        if float(np.abs(across / step - counts).mean()) > 4.0 * _CONFIG.off:
             return None
         step = float(across.sum() / counts.sum())
         stretch *= 4
@@ -253,7 +246,7 @@ def _chunks(values: Float32) -> Even | None:
     share = (padded[inside] - low[inside, None]) / wide[inside, None]
     for levels in CHUNK_LEVELS:
         off = np.abs(levels * share - np.rint(levels * share))
-        if float(off.mean()) < OFF:
+        if float(off.mean()) < _CONFIG.off:
             spread = np.repeat(wide / levels, CHUNK)[: len(values)]
             origin = np.repeat(low, CHUNK)[: len(values)]
             return Even(origin, spread, np.full(len(values), float(levels)))

@@ -16,7 +16,7 @@ from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import weighted_evidence
 
 LAYERS = ("both", "tint", "grain")
-"""What is asked of an evidence."""
+"""Questions that an evidence can answer."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def layered_z(evidence: Evidence, signs: Signs, tint: int, *, either_way: bool =
 
     ValueError unless there are C signs.
 
-    Copies of one asset have a reference in common, not signs, cells or amplitudes: each is read and asked by itself.
+    Copies of one asset have a reference in common, not signs, cells or amplitudes: each is read and tested by itself.
     When n of them are averaged each keeps 1 / n of its displacement, and its sisters' are noise to it: Z falls as
     1 / sqrt(n). Rules that pick what few copies have turn Z round.
 

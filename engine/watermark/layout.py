@@ -7,10 +7,6 @@ import numpy.typing as npt
 
 from engine.model import Float32, Float64, Int32, Int64
 
-MARK_SCALE = 0.02
-"""Size of a typical displacement, SH units (a mark at 47 dB moves code vectors by 0.01 to 0.05). Planned amplitudes
-have this median, and no residual this small is treated as an outlier."""
-
 Values = npt.NDArray[np.float32] | npt.NDArray[np.float64]
 
 
@@ -20,7 +16,7 @@ class Layout:
 
     labels: tuple[Int32, ...]  # (N,) each: code of each Gaussian in each stage
     codes: tuple[int, ...]  # number of code vectors of each stage
-    # (R, D) each: carriers of each stage; the same R and D for all. D is 3, DC space, or 3K of all coefficients
+    # (R, D) each: carriers of each stage; R and D are those of all. D is 3, DC space, or 3K of all coefficients
     directions: tuple[Float64, ...]
     amplitudes: Float64  # (C,) size of each chip's displacement, SH units; flat order stage, code vector, carrier
     # (N,) how many times its code vectors' displacements each Gaussian takes, so that no two are displaced alike; None:

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float32
+from engine.watermark.config import CONFIG
 
-MOST = 2.0 / 3.0
-"""Share of the Gaussians that may hold still. More means that the scene has few values, not that some were clipped."""
 GRID = 512.0
 """Values are compared in steps of 1/512, as the reference keeps them."""
 
@@ -22,4 +21,4 @@ def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
     for channel in np.round(GRID * dc.astype(np.float64)).astype(np.int64).T:
         _, place, count = np.unique(channel, return_inverse=True, return_counts=True)
         still |= (count > share * len(dc))[place]
-    return still if still.mean() <= MOST else np.zeros_like(still)
+    return still if still.mean() <= CONFIG.planning.most_still else np.zeros_like(still)

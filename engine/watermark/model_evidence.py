@@ -7,15 +7,10 @@ import numpy as np
 from engine.model import Bool, Float32, Float64, Int32, Int64
 from engine.registration.mixtures import Mixtures
 from engine.watermark.code_shares import CodeShares, combined
-from engine.watermark.layout import MARK_SCALE, Layout
+from engine.watermark.config import CONFIG
+from engine.watermark.layout import Layout
 
-AFFINE_SAMPLE = 30_000
-SATURATION = 2.0
-"""Evidence of one chip saturates at this many medians of its carrier's. What an attacker adds is spread unevenly (a
-second mark, a repainted patch, noise on a few members); linear weights would let the few largest drown the rest."""
-
-PASSES = 2
-"""Rounds of residual compensation over the stages (Eq 11); the second changes z by under a per cent."""
+_CONFIG = CONFIG.evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +83,13 @@ def remove_affine_color(reference: Float64, residual: Float64, weights: Float64)
     n = len(reference)
     if n < 16:
         return residual
-    step = max(1, n // AFFINE_SAMPLE)
+    step = max(1, n // _CONFIG.affine_sample)
     design = np.concatenate([reference, np.ones((n, 1))], axis=1)
     x, r, base = design[::step], residual[::step], weights[::step]
     fit = np.zeros((4, 3))
     for _ in range(8):  # iteratively re-weighted least squares, Geman-McClure weights
         gap = np.linalg.norm(r - x @ fit, axis=1)
-        scale = max(1.5 * float(np.median(gap)), MARK_SCALE)
+        scale = max(1.5 * float(np.median(gap)), CONFIG.planning.mark_scale)
         w = base / (1.0 + (gap / scale) ** 2) ** 2
         normal = (x * w[:, None]).T @ x + 1e-9 * w.sum() * np.eye(4)
         fit = np.linalg.solve(normal, (x * w[:, None]).T @ r)
@@ -103,7 +98,7 @@ def remove_affine_color(reference: Float64, residual: Float64, weights: Float64)
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """How far the colours of suspect Gaussians lie from those they are matched to: the same for all copies."""
+    """How far the colours of suspect Gaussians lie from those they are matched to: copies of an asset share it."""
 
     values: Float64  # (n, D)
     trust: Float64  # (n,)
@@ -138,7 +133,7 @@ def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixture
     trust = mixtures.quality[rows].astype(np.float64)
     residual[:, :3] = remove_affine_color(reference[:, :3], residual[:, :3], trust)
     size = np.linalg.norm(residual, axis=1)
-    scale = max(2.0 * float(np.median(size)) if len(size) else 0.0, 2.0 * MARK_SCALE)
+    scale = max(2.0 * float(np.median(size)) if len(size) else 0.0, 2.0 * CONFIG.planning.mark_scale)
     return Residual(residual, trust / (1.0 + (size / scale) ** 2), of, target, shares)
 
 
@@ -171,7 +166,7 @@ def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> 
     means = [np.zeros((stage.codes, residual.shape[1])) for stage in stages]
     explained = [np.zeros_like(residual) for _ in stages]
     left = residual
-    for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over
+    for _ in range(_CONFIG.passes if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over
         for s, stage in enumerate(stages):
             left = left + explained[s]
             means[s] = stage.means(left, trust)
@@ -202,5 +197,5 @@ def _saturated(y: Float64, weights: Float64, carriers: int) -> Float64:
     """(C,) weights such that w y = limit tanh(w0 y / limit): they know the size of y, not its sign, so no chip."""
     shown = np.abs(weights * y).reshape(-1, carriers)  # (codes, R)
     limits = np.array([np.median(column[column > 0]) if column.any() else 1.0 for column in shown.T])
-    ratio = np.maximum(shown / (SATURATION * limits), 1e-9)  # tanh(u) / u is 1 there
+    ratio = np.maximum(shown / (_CONFIG.saturation * limits), 1e-9)  # tanh(u) / u is 1 there
     return np.asarray(weights * (np.tanh(ratio) / ratio).reshape(-1))

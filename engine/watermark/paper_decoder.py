@@ -17,13 +17,10 @@ import numpy.typing as npt
 
 from engine.model import Float64, Int32
 from engine.numerics.wavelet import coefficient_detail
+from engine.watermark.config import CONFIG
 from engine.watermark.messages import Signs
 
-LAMBDA_FREQ = 0.1
-"""Of Eq 11, as of Eq 7 (the paper's appendix)."""
-
-EPSILON_STEPS = 3.0
-"""Tolerance epsilon of Eq 10, in steps beta delta of the code vector."""
+_CONFIG = CONFIG.paper
 
 
 def paper_steps(y: Float64, amplitudes: Float64, chips: npt.NDArray[np.int8]) -> Float64:
@@ -38,13 +35,13 @@ def paper_steps(y: Float64, amplitudes: Float64, chips: npt.NDArray[np.int8]) ->
     chips : (C,) int8
     """
     steps = np.where(amplitudes > 0, y * chips / np.maximum(amplitudes, 1e-12), 0.0)
-    return np.asarray(np.round(steps) * (np.abs(steps) <= EPSILON_STEPS))
+    return np.asarray(np.round(steps) * (np.abs(steps) <= _CONFIG.epsilon_steps))
 
 
 def adaptive_weights(differences: Sequence[Float64], amplitudes: Float64) -> Float64:
     """(C,) what each step of a model counts: its beta against the usual one, times its code vector's reliability.
 
-    Reliability is E / (E + LAMBDA_FREQ E_detail) of the difference c' - c, E its energy and E_detail that of its detail
+    Reliability is E / (E + lambda E_detail) of the difference c' - c, E its energy and E_detail that of its detail
     (one Haar step over the coefficients); with DC alone there is no detail, and all are 1.
 
     Parameters
@@ -59,7 +56,7 @@ def adaptive_weights(differences: Sequence[Float64], amplitudes: Float64) -> Flo
     for stage in differences:
         energy = (stage**2).sum(axis=1)
         detail = (coefficient_detail(stage.reshape(len(stage), -1, 3)) ** 2).sum(axis=(1, 2))
-        reliable = np.where(energy > 0, energy / np.maximum(energy + LAMBDA_FREQ * detail, 1e-300), 1.0)
+        reliable = np.where(energy > 0, energy / np.maximum(energy + _CONFIG.lambda_freq * detail, 1e-300), 1.0)
         parts.append(np.repeat(reliable, carriers))
     usual = float(np.median(amplitudes[amplitudes > 0])) if (amplitudes > 0).any() else 1.0
     return np.asarray(np.concatenate(parts) * amplitudes / usual)

@@ -11,21 +11,12 @@ from functools import reduce
 import numpy as np
 
 from engine.model import Float64
+from engine.watermark.config import CONFIG
 from engine.watermark.image_evidence import PictureEvidence
 
 __all__ = ["Together", "find_contradicting"]
 
-LEAST_PICTURES = 3
-"""Of two that disagree, either may be the wrong one."""
-TOLD = 6.0
-"""Standard deviations of chance by which a picture must be expected to agree with the others before it is judged."""
-AGREES = 0.3
-"""Share of what is expected that a picture of the same mark comes to at least: with one in four that shows another mark
-they come to 1 and more, that one to 0.1 at most."""
-
-MOST_KEPT = 1 << 30
-"""Bytes of single pictures' evidence that may be kept to compare them: 38 pictures of a hundred thousand Gaussians with
-a grain. Beyond that they are summed as they come, and none is left out."""
+_CONFIG = CONFIG.evidence
 
 
 class Together:
@@ -38,7 +29,7 @@ class Together:
     def add(self, number: int, part: PictureEvidence) -> None:
         """One more picture, by its number."""
         self._parts[number] = part
-        if len(self._parts) * part.nbytes > MOST_KEPT:
+        if len(self._parts) * part.nbytes > _CONFIG.most_kept:
             self._compared = False
         if not self._compared:
             self._parts = {number: reduce(PictureEvidence.plus, self._parts.values())}
@@ -56,28 +47,28 @@ class Together:
 def find_contradicting(pictures: Sequence[PictureEvidence]) -> tuple[int, ...]:
     """Numbers, from 0, of the pictures of one asset that do not show the mark of the others, the least alike first.
 
-    None where they are fewer than three, or where no more of them agree, told well enough, than would be left out.
+    None where they are fewer than three, or where no more of them agree, by a clear reading, than would be left out.
     """
     left_out: list[int] = []
-    if len(pictures) < LEAST_PICTURES:
+    if len(pictures) < _CONFIG.least_pictures:
         return ()
     shown = [np.multiply(picture.weights, picture.held_y, dtype=np.float64) for picture in pictures]
     expected = [np.multiply(picture.weights, picture.held_response, dtype=np.float64) for picture in pictures]
     while 2 * len(left_out) < len(pictures):
         staying = [number for number in range(len(pictures)) if number not in left_out]
         shares = {number: _share(number, staying, shown, expected) for number in staying}
-        told = {number: share for number, share in shares.items() if share is not None}
-        odd = min(told, key=lambda number: told[number], default=None)
-        if odd is None or told[odd] >= AGREES:
-            return tuple(left_out) if len(told) > len(left_out) else ()
+        known = {number: share for number, share in shares.items() if share is not None}
+        odd = min(known, key=lambda number: known[number], default=None)
+        if odd is None or known[odd] >= _CONFIG.agrees:
+            return tuple(left_out) if len(known) > len(left_out) else ()
         left_out.append(odd)
     return ()
 
 
 def _share(one: int, staying: Sequence[int], shown: Sequence[Float64], expected: Sequence[Float64]) -> float | None:
-    """How much of the expected agreement with the others a picture comes to; None where that tells nothing."""
+    """How much of the expected agreement with the others a picture comes to; None where chance may give as much."""
     rest = [number for number in staying if number != one]
     others = np.sum([shown[number] for number in rest], axis=0)
     promised = float(expected[one] @ np.sum([expected[number] for number in rest], axis=0))
     chance = float(np.linalg.norm(shown[one] * others))
-    return float(shown[one] @ others) / promised if promised > TOLD * chance else None
+    return float(shown[one] @ others) / promised if promised > _CONFIG.expected_agreement * chance else None

@@ -10,27 +10,11 @@ from engine.compress.impact import Impact, uncertainty
 from engine.errors import CapacityError
 from engine.model import SH_C0, Float32, Float64, Int32
 from engine.watermark.carriers import make_carriers
+from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
-from engine.watermark.layout import MARK_SCALE, Layout
+from engine.watermark.layout import Layout
 
-REFERENCE_NOISE = 0.05
-"""Per-channel noise (std, range 1) of the channel for which z is predicted: one picture, badly compressed."""
-
-REFERENCE_PIXELS = 800 * 800
-"""Pixels of that picture: what a suspect shows has nothing to do with how large the key views were."""
-
-BIT_Z = 2.3
-"""Least predicted z of a bit that the planner accepts: about one wrong bit in a hundred on that one bad picture;
-several pictures, a better one, or the model itself read all of them."""
-
-GRAIN_CHIPS_PER_BIT = 64
-"""The same for the grain, which is lost Gaussian by Gaussian: a tenth of the model still reads nearly every bit."""
-
-SURPRISE = (0.2, 4.0)
-"""Range of how badly a colour is guessed, against what is usual, within which amplitudes follow it."""
-
-CHIPS_PER_BIT = 16
-"""Fewest chips a bit may rest on, so that losing most of the model still leaves each bit some."""
+_CONFIG = CONFIG.planning
 
 
 @dataclass(frozen=True)
@@ -52,7 +36,7 @@ class PlanConfig:
     grain_scale: float = 0.02
     # Code vectors that the key makes of the public cells, two or more of these each; a power of two
     codes: int = 4096
-    # Where copies are told apart: what share of the squared error is theirs. The rest is the owner's, the same in all
+    # Where copies differ: what share of the squared error is theirs. The rest is the owner's, alike in all
     # copies, and carries the claim; pictures need more of it
     copy_tint: float = 0.25
     copy_grain: float = 0.5
@@ -92,7 +76,7 @@ def make_plan(
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
-    Scaled to a median amplitude of MARK_SCALE; `layer_strengths` finds the strength.
+    Scaled to a median amplitude of `mark_scale`; `layer_strengths` finds the strength.
 
     Parameters
     ----------
@@ -143,7 +127,7 @@ def make_plan(
         energies.append((scale * energy).reshape(len(energy), -1))
         directions.append(carriers.directions)
     flat = np.concatenate(amplitudes)
-    scale = MARK_SCALE / max(float(np.median(flat)), 1e-300)
+    scale = CONFIG.planning.mark_scale / max(float(np.median(flat)), 1e-300)
     layout = Layout(
         tuple(stage.labels for stage in stages),
         tuple(len(stage.codebook) for stage in stages),
@@ -159,7 +143,7 @@ def _surprise(missed: Float64, directions: Float64, exponent: float) -> Float64:
     # Of a model in one colour nothing is missed, and rounding may make that less than nothing.
     off = np.sqrt(np.maximum(np.einsum("ri,mij,rj->mr", directions, missed, directions), 0.0))
     usual = np.maximum(np.median(off, axis=0), 1e-12)
-    return np.asarray(np.clip(off / usual, *SURPRISE) ** exponent)
+    return np.asarray(np.clip(off / usual, *_CONFIG.surprise) ** exponent)
 
 
 def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:
@@ -208,30 +192,30 @@ def predict_z(energies: Float64, bit_of: Int32, bits: int) -> Float64:
     Parameters
     ----------
     energies : (V, C)
-        Of `Plan`, for a picture of REFERENCE_PIXELS.
+        Of `Plan`, for a picture of `reference_pixels`.
     bit_of : (C,) int
     """
     out = np.empty((len(energies), bits))
     for v, energy in enumerate(energies):
         total = np.bincount(bit_of, energy, bits)
         squares = np.bincount(bit_of, energy**2, bits)
-        signal = total / REFERENCE_NOISE**2
+        signal = total / _CONFIG.reference_noise**2
         effective = total**2 / np.maximum(squares, 1e-300)  # chips that matter
         out[v] = np.sqrt(1.0 / (1.0 / np.maximum(signal, 1e-12) + 1.0 / np.maximum(effective, 1e-12)))
     return out
 
 
 def capacity_bits(energies: Float64, chips: int) -> int:
-    """Bits the scene's pictures carry: the median one (see `predict_z`) must give every bit BIT_Z."""
-    signal = energies.sum(axis=1) / REFERENCE_NOISE**2
+    """Bits the scene's pictures carry: the median one (see `predict_z`) must give every bit `bit_z`."""
+    signal = energies.sum(axis=1) / _CONFIG.reference_noise**2
     effective = energies.sum(axis=1) ** 2 / np.maximum((energies**2).sum(axis=1), 1e-300)
     z_squared = 1.0 / (1.0 / np.maximum(signal, 1e-12) + 1.0 / np.maximum(effective, 1e-12))
-    return int(min(float(np.median(z_squared)) / BIT_Z**2, chips / CHIPS_PER_BIT))
+    return int(min(float(np.median(z_squared)) / _CONFIG.bit_z**2, chips / _CONFIG.chips_per_bit))
 
 
 def grain_capacity(gaussians: int) -> int:
     """Bits that the grain of so many Gaussians carries in a model."""
-    return ATTRIBUTES * gaussians // GRAIN_CHIPS_PER_BIT
+    return ATTRIBUTES * gaussians // _CONFIG.grain_chips_per_bit
 
 
 def check_capacity(wanted: int, capacity: int) -> None:

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.model import Float64
+from engine.watermark.config import CONFIG
 from engine.watermark.statistics import magnitude
 
-_ROWS = 1 << 15
-"""Chips looked at together: what is made of them stays in the cache, of 60 million it would take gigabytes."""
+_CONFIG = CONFIG.power
 
 
 _SMALL = 1e-200
@@ -107,11 +107,6 @@ def moments(y: Float64, w: Float64, signal: Float64 | float) -> Moments:
     return _sums(y, w, signal, unit, (largest[1] or 1.0) * (float(shown.max(initial=0.0)) or 1.0))
 
 
-FAR = 4.0
-"""Sizes of the mark at which the change of one chip is counted, where it is larger: a wrong match, or one that a thief
-pushed until its weight fell to nothing."""
-
-
 def change(y: Float64, w: Float64, signal: Float64) -> float:
     """Size of what was measured, in sizes of the mark: sqrt(sum (w y)^2 / sum (w s)^2); inf where none is expected.
 
@@ -122,15 +117,15 @@ def change(y: Float64, w: Float64, signal: Float64) -> float:
     """
     expected = np.abs(w * signal)
     mark = float(expected @ expected)
-    measured = w * np.minimum(np.abs(y), FAR * np.abs(signal))
+    measured = w * np.minimum(np.abs(y), _CONFIG.far * np.abs(signal))
     return math.sqrt(float(measured @ measured) / mark) if mark > 0 else math.inf
 
 
 def _sums(y: Float64, w: Float64, signal: Float64, unit: float, top: float) -> Moments:
     """`moments` of y and signal in units, weights in tops."""
     sums, least = np.zeros(5), 0.0
-    for start in range(0, len(y), _ROWS):
-        rows = slice(start, start + _ROWS)
+    for start in range(0, len(y), _CONFIG.rows):
+        rows = slice(start, start + _CONFIG.rows)
         weights = w[rows] / top
         wy, ws = y[rows] / unit * weights, signal[rows] / unit * weights
         noise, mark = wy * wy, ws * ws

@@ -3,7 +3,7 @@
 A record made after its owner saw the suspect can be the best of very many tried: 10^10 plans reach a bound of 10^-9 by
 chance. So 10^-9 is enough only where the chips follow from a time-stamping service's signature over the plan, so that
 each record that is tried out takes a request to that service; DRAWS requests are counted as hypotheses. Else the bound
-must be below 2^-128. That the suspect did not exist before the record is what nobody can attest: a date since when it
+must be below 2^-128. That the suspect did not exist before the record cannot be attested: a date since when it
 is known is the owner's word, and makes a condition, never a rate.
 """
 
@@ -100,27 +100,27 @@ class AppliedRate:
 
 
 def applicable_rate(
-    asked: float, attested: Attested | None, suspect_seen: str = "", suspect_existed: str = ""
+    wanted: float, attested: Attested | None, suspect_seen: str = "", suspect_existed: str = ""
 ) -> AppliedRate:
-    """The rate that applies to a record; what was asked for counts only where it is stricter.
+    """The rate that applies to a record; the wanted rate counts only where it is stricter.
 
     Parameters
     ----------
-    asked : float
+    wanted : float
         In (0, 1).
     suspect_seen : str
         Since when the suspect is known, ISO 8601 (a date counts from its first moment); empty if unknown.
         InputError if it is no time.
     suspect_existed : str
-        By when the suspect is shown to have existed, ISO 8601; empty if that is not shown. It tells only against a
-        record that is younger: that the suspect did not exist before, nobody can show.
+        By when the suspect is shown to have existed, ISO 8601; empty if that is not shown. It counts only against a
+        record that is younger: that the suspect did not exist before cannot be shown.
     """
-    usual = min(asked, CHANCE_RATE)
+    usual = min(wanted, CHANCE_RATE)
     basis = _basis(attested, suspect_seen, suspect_existed)
     if basis == "younger":
-        return AppliedRate(min(asked, DEMANDS[basis]), basis, None)
+        return AppliedRate(min(wanted, DEMANDS[basis]), basis, None)
     tries = attested.tries if attested is not None and basis == "drawn" else 1
-    return AppliedRate(min(asked, DEMANDS[basis]), basis, usual, conditions_of(basis, suspect_seen), tries)
+    return AppliedRate(min(wanted, DEMANDS[basis]), basis, usual, conditions_of(basis, suspect_seen), tries)
 
 
 def conditions_of(basis: str, suspect_seen: str = "") -> tuple[Condition, ...]:

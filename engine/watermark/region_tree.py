@@ -9,13 +9,11 @@ import numpy.typing as npt
 import scipy
 
 from engine.model import Bool, Float32, Float64, Int32
+from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.layout import Layout
 
 Ask = Callable[[Float64], Bool]
-
-CODES = 12
-"""Code vectors of the smallest region: 36 chips of the tint. 4,096 of them give 256 regions, of 16 each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +21,7 @@ class Partition:
     """Regions 0 to count - 1. Made by `divide`, their numbers are leaves: 2 k and 2 k + 1 are halves of one."""
 
     count: int
-    chips: int  # of stage 0, those of one code vector beside each other
+    chips: int  # of stage 0, those of one code vector in a row
     of_codes: Int32  # (codes,) of each code vector of stage 0, -1 where it carries nothing
     of_gaussians: Int32  # (N,)
 
@@ -52,7 +50,7 @@ class Partition:
 def divide(layout: Layout, means: Float32, most: int) -> Partition:
     """A balanced k-d tree over the middles of the code vectors' Gaussians, at centres `means` (N, 3).
 
-    `most` leaves, a power of two, or as many as have `CODES` code vectors each.
+    `most` leaves, a power of two, or as many as have `codes` code vectors each.
     """
     labels, codes = layout.labels[0], layout.codes[0]
     chips = codes * len(layout.directions[0])
@@ -63,7 +61,7 @@ def divide(layout: Layout, means: Float32, most: int) -> Partition:
     if not len(middles):
         return Partition(1, chips, np.full(codes, -1, np.int32), np.zeros(len(means), np.int32))
     leaves = [np.arange(len(middles))]
-    for _ in range(int(math.log2(max(1, min(most, len(middles) // CODES))))):
+    for _ in range(int(math.log2(max(1, min(most, len(middles) // CONFIG.regions.codes))))):
         leaves = [half for leaf in leaves for half in _halves(leaf, middles)]
     leaf = np.empty(len(middles), np.int32)
     for number, rows in enumerate(leaves):

@@ -27,26 +27,19 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Bool, Float64, Int32
+from engine.watermark.config import CONFIG
 from engine.watermark.messages import Signs
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.region_tree import Partition, join
 from engine.watermark.statistics import magnitude, z_threshold
 
-LEAST_CHIPS = 30.0
-"""Chips, counted by their shares of the evidence, below which nothing is said of a region: what is shown of few would
-tell their secret signs."""
-ENOUGH = 4.0
-"""z that the mark is expected to give in a region by itself, or it is joined with the one beside. The estimate is low
-(what was measured, the mark too, counts as noise): an intact mark shows 1.4 to 2 times as much, and a discovery among
-many takes 3.6 at 1 % and six tries."""
-PRESENT = 0.5
-"""Share of a region's Gaussians that the suspect must hold for the region to be called altered."""
+_CONFIG = CONFIG.regions
 LAYERS = (slice(0, 1), slice(1, 2), slice(0, 2))
 """Tint, grain, both: the questions of `layers`, as parts of a list of the two."""
 
 
 class State(IntEnum):
-    """What is known of a region; greater tells more."""
+    """What is known of a region; greater says more."""
 
     UNSEEN = 0  # the suspect does not show it
     UNCLEAR = 1  # it is seen, and neither of the following can be said
@@ -56,7 +49,7 @@ class State(IntEnum):
 
 @dataclass(frozen=True)
 class RegionConfig:
-    """What is asked of regions."""
+    """What regions are tested for."""
 
     # q: largest expected share of regions without the mark among those called marked; in (0, 1)
     false_discoveries: float = 0.01
@@ -82,10 +75,10 @@ class Regions:
 
     partition: Partition
     state: Int32  # (K,) `State`
-    z: Float64  # (K,) of the strongest layer, or of both together; 0 where nothing was asked
-    log10_p: Float64  # (K,) all tries counted; 0 where nothing was asked
+    z: Float64  # (K,) of the strongest layer, or of both together; 0 where nothing was tested
+    log10_p: Float64  # (K,) all tries counted; 0 where nothing was tested
     expected: Float64  # (K,) z of the mark at full strength, of the layer that expects most
-    asked: int  # regions that were tested: those that had enough chips
+    tested: int  # regions that were tested: those that had enough chips
     false_discoveries: float  # q
 
     def of_gaussians(self) -> Int32:
@@ -108,7 +101,7 @@ def judge_regions(
     Parameters
     ----------
     evidence : sequence of Evidence
-        Of C chips, one or several ways to read the same suspect, all counted in `tries`; the first says what is seen.
+        Of C chips, one or several ways to read one suspect, all counted in `tries`; the first says what is seen.
     signs : (C,) +-1
         Chip times bit of the registered message.
     leaves : Partition
@@ -116,7 +109,7 @@ def judge_regions(
     tint : int
         How many of the chips are the first layer's.
     tries : int
-        Hypotheses of the whole verification, at least the questions asked here.
+        Hypotheses of the whole verification, at least those tested here.
     found : (N,) bool, optional
         Which Gaussians of the reference the suspect holds; None (pictures): no region is called altered.
     """
@@ -127,24 +120,24 @@ def judge_regions(
     moments = [np.zeros((partition.count, *each.shape[1:])) for each in small]
     for whole, halves in zip(moments, small, strict=True):
         np.add.at(whole, number, halves)
-    asked = _chips(moments[0]) >= LEAST_CHIPS  # from sizes alone; only now come the signs
+    tested = _chips(moments[0]) >= _CONFIG.least_chips  # from sizes alone; only now come the signs
     z = np.stack(
         [
             _ratio(_questions(partition.sums(each.wy * signs, tint)), np.sqrt(_questions(sums[..., _WY2])))
             for each, sums in zip(terms, moments, strict=True)
         ]
     )
-    z = np.where(asked, z.reshape(-1, partition.count).max(axis=0), 0.0)
+    z = np.where(tested, z.reshape(-1, partition.count).max(axis=0), 0.0)
     log10_p = np.minimum(0.0, math.log10(tries) - np.square(np.maximum(z, 0.0)) / (2.0 * math.log(10.0)))
     state = np.where(_seen(moments[0]), State.UNCLEAR, State.UNSEEN).astype(np.int32)
     if found is not None:
         held = np.bincount(partition.of_gaussians, found, partition.count)
-        there = held >= PRESENT * np.maximum(np.bincount(partition.of_gaussians, minlength=partition.count), 1)
+        there = held >= _CONFIG.present * np.maximum(np.bincount(partition.of_gaussians, minlength=partition.count), 1)
         quiet = z < z_threshold(config.false_discoveries, tries)
-        state[asked & there & quiet & _would_have_shown(moments[0], tries, config)] = State.ALTERED
-    state[np.flatnonzero(asked)[discoveries(log10_p[asked], config.false_discoveries)]] = State.MARKED
-    expected = np.where(asked, _expected(moments[0]).max(axis=0), 0.0)
-    return Regions(partition, state, z, log10_p, expected, int(asked.sum()), config.false_discoveries)
+        state[tested & there & quiet & _would_have_shown(moments[0], tries, config)] = State.ALTERED
+    state[np.flatnonzero(tested)[discoveries(log10_p[tested], config.false_discoveries)]] = State.MARKED
+    expected = np.where(tested, _expected(moments[0]).max(axis=0), 0.0)
+    return Regions(partition, state, z, log10_p, expected, int(tested.sum()), config.false_discoveries)
 
 
 def discoveries(log10_p: Float64, level: float) -> Bool:
@@ -206,11 +199,11 @@ def _seen(moments: Float64) -> Bool:
 
 
 def _enough(moments: Float64) -> Bool:
-    return np.asarray((_expected(moments).max(axis=0) >= ENOUGH) & (_chips(moments) >= LEAST_CHIPS))
+    return np.asarray((_expected(moments).max(axis=0) >= _CONFIG.enough) & (_chips(moments) >= _CONFIG.least_chips))
 
 
 def _would_have_shown(moments: Float64, tries: int, config: RegionConfig) -> Bool:
-    """(K,) whether each layer that says anything there would have reached the bar, with the `power` asked for."""
+    """(K,) whether each layer that says anything there would have reached the bar, with the wanted `power`."""
     bar, share = z_threshold(config.false_discoveries, tries), config.surviving
     m = moments
     root = np.sqrt(m[..., _WY2] + share**2 * m[..., _WS2])  # (K, 2)

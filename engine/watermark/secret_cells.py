@@ -2,8 +2,8 @@
 
 The quantizer's cells are public: they follow from the model. They are small, and the owner's key joins them to
 code vectors of its own, neighbours only, by a k-d tree whose cuts it draws; it draws how much each one moves, too, and
-how many times that each Gaussian in it does. All copies of an asset have the same cells: cells of a copy's own would
-give those who compare copies more equations than unknowns. All of that is settled, and bound by the record id, before a
+how many times that each Gaussian in it does. All copies of an asset share its cells: cells of a copy's own would give
+those who compare copies more equations than unknowns. All of that is settled, and bound by the record id, before a
 chip is drawn from another sub-key.
 """
 
@@ -12,23 +12,15 @@ import scipy
 
 from engine.compress.hvq import Stage, group_means
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
+from engine.watermark.config import CONFIG
 from engine.watermark.keys import CELLS, OwnerKey, keystream, uniform
 
-TILT = 0.35
-"""How far the key tilts each cut away from the widest feature, standard deviation against 1 along it."""
-SLIDE = 0.06
-"""How far it slides the cut from the middle, either way, of the node's weight."""
-JITTER = 0.3
-"""Half width of the keyed factor on each chip's amplitude, as a logarithm."""
+_CONFIG = CONFIG.cells
 
 
 OWNER, COPIES = "owner", "copies"
 """Whose cells: those of the mark that all copies share, and those on which copies differ. Neither says where the
 other's borders are, so what two copies differ in draws no border of the owner's."""
-
-BLUR = 8
-"""Public cells nearest to a Gaussian's own, itself among them, to one of which it is dealt where borders are
-blurred."""
 
 
 def cells_key(key: OwnerKey, asset: bytes, use: str) -> bytes:
@@ -59,15 +51,16 @@ def join_cells(
     count : int
         Code vectors wanted; rounded down to a power of two, at most one for two cells.
     blurred : bool
-        Whether each Gaussian is dealt to one of the BLUR public cells around it, so that no border can be seen in what
-        Gaussians beside each other are displaced by.
+        Whether each Gaussian is dealt to one of the `blur` public cells around it, so that no border can be seen in
+        how neighboring Gaussians are displaced.
     """
     cells = len(stage.codebook)
     seen = np.bincount(stage.labels, weights, cells).astype(np.float64)
     joined = _tree(features, seen + 0.02 * float(seen.mean()) + 1e-300, min(count, cells // 2), subkey)
     public = stage.labels
     if blurred:
-        near = scipy.spatial.cKDTree(features).query(features, k=min(BLUR, cells), workers=2)[1].reshape(cells, -1)
+        tree = scipy.spatial.cKDTree(features)
+        near = tree.query(features, k=min(_CONFIG.blur, cells), workers=2)[1].reshape(cells, -1)
         dealt = keystream(subkey, len(public), "blur") % np.uint8(near.shape[1])
         public = near[public, dealt]
     labels = np.unique(joined[public], return_inverse=True)[1].astype(np.int32)
@@ -88,7 +81,7 @@ MULTIPLE = np.float32(1.0 / (128.0 * np.sqrt(13.0 / 12.0)))
 
 def jitter(subkey: bytes, chips: int) -> Float64:
     """(chips,) factors on the amplitudes, of mean square 1."""
-    factors = np.exp(JITTER * (2.0 * uniform(subkey, chips, "jitter") - 1.0))
+    factors = np.exp(_CONFIG.jitter * (2.0 * uniform(subkey, chips, "jitter") - 1.0))
     return np.asarray(factors / np.sqrt(np.mean(factors**2)))
 
 
@@ -97,7 +90,8 @@ def _tree(features: Float64, weights: Float64, count: int, subkey: bytes) -> Int
     depth = int(np.log2(max(1, min(count, len(features)))))
     width = features.shape[1]
     drawn = uniform(subkey, (2**depth - 1) * (width + 1), "cuts").reshape(-1, width + 1)
-    tilts, slides = np.sqrt(12.0) * TILT * (drawn[:, :width] - 0.5), SLIDE * (2.0 * drawn[:, width] - 1.0)
+    tilts = np.sqrt(12.0) * _CONFIG.tilt * (drawn[:, :width] - 0.5)
+    slides = _CONFIG.slide * (2.0 * drawn[:, width] - 1.0)
     node = np.zeros(len(features), dtype=np.int64)
     for level in range(depth):
         nodes = 2**level

@@ -53,7 +53,7 @@ def spread(
     """Deal the bits to the code vectors and draw the chips.
 
     Bits are dealt like cards: each run of `bits` neighbouring code vectors holds every bit once, in keyed order. So any
-    piece of the scene carries the whole message, and every bit gets the same evidence.
+    piece of the scene carries the whole message, and every bit gets equal evidence.
 
     Parameters
     ----------

@@ -8,13 +8,9 @@ import numpy as np
 import scipy
 
 from engine.model import Float64, Int64
+from engine.watermark.config import CONFIG
 
-NEIGHBORS = 24
-"""Code vectors from which a colour is guessed, by a plane fitted to them."""
-AROUND = 9
-"""Code vectors, itself among them, over which the misses are averaged: one alone may have been guessed by luck."""
-RIDGE = 1e-3
-"""Keeps planes through neighbours on a line from tilting without end."""
+_CONFIG = CONFIG.cells
 
 
 def unexplained(centers: Float64, colors: Float64) -> Float64:
@@ -32,7 +28,7 @@ def unexplained(centers: Float64, colors: Float64) -> Float64:
         return np.zeros((count, 3, 3))
     guessed, near = guess(centers, colors)
     missed = colors - guessed
-    around = np.concatenate([np.arange(count)[:, None], near[:, : AROUND - 1]], axis=1)
+    around = np.concatenate([np.arange(count)[:, None], near[:, : _CONFIG.around - 1]], axis=1)
     return np.asarray(np.einsum("mki,mkj->mij", missed[around], missed[around]) / around.shape[1])
 
 
@@ -42,9 +38,10 @@ def guess(centers: Float64, colors: Float64) -> tuple[Float64, Int64]:
     Of at least two code vectors, else as in `unexplained`.
     """
     count = len(centers)
-    near = scipy.spatial.cKDTree(centers).query(centers, k=min(NEIGHBORS + 1, count), workers=2)[1][:, 1:]  # (M, k)
+    k = min(_CONFIG.neighbors + 1, count)
+    near = scipy.spatial.cKDTree(centers).query(centers, k=k, workers=2)[1][:, 1:]  # (M, k - 1)
     offset = centers[near] - centers[:, None]
     offset /= np.sqrt(np.square(offset).sum(axis=2).mean(axis=1))[:, None, None] + 1e-300
     design = np.concatenate([offset, np.ones((*near.shape, 1))], axis=2)  # (M, k, 4)
-    normal = np.einsum("mki,mkj->mij", design, design) + RIDGE * np.eye(4)
+    normal = np.einsum("mki,mkj->mij", design, design) + _CONFIG.ridge * np.eye(4)
     return np.linalg.solve(normal, np.einsum("mki,mkc->mic", design, colors[near]))[:, 3], near

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from engine.catalogue import neighbors
-from engine.catalogue.catalogue import SHOWN, Catalogue, screen_model, screen_pictures
+from engine.catalogue.catalogue import Catalogue, screen_model, screen_pictures
+from engine.catalogue.config import CONFIG
 from engine.catalogue.entry import Entry
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
@@ -39,7 +41,7 @@ def entries(plant: GaussianModel) -> dict[str, Entry]:
 def catalogue(entries: dict[str, Entry], tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     """With lists, as where there are many; saved and opened."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(neighbors, "FEW", 1000)
+        patch.setattr(neighbors, "CONFIG", replace(CONFIG, few=1000))
         made = Catalogue.build(list(entries)[1:], entries.__getitem__)
     folder = tmp_path_factory.mktemp("catalogue")
     made.save(folder)
@@ -106,7 +108,7 @@ def test_a_picture_of_something_else_shows_no_asset(catalogue: Catalogue) -> Non
 
     shown = data.chelsea()[::-1].astype(np.float32) / np.float32(255.0)
     found = screen_pictures(catalogue, [np.ascontiguousarray(shown)], {"plant"})
-    assert all(each.votes < SHOWN for each in found)
+    assert all(each.votes < CONFIG.shown for each in found)
     assert screen_pictures(catalogue, [np.zeros((64, 64, 3), np.float32)]) == []
 
 

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.catalogue import entry as entries
+from engine.catalogue.config import CONFIG
 from engine.catalogue.entry import Entry, see_points
 from engine.errors import FormatError
 from engine.flows.views.camera_rig import make_rig
@@ -24,7 +27,7 @@ def entry() -> Entry:
 
 
 def test_the_strongest_of_each_view_are_kept_where_it_showed_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(entries, "POINTS", 120)
+    monkeypatch.setattr(entries, "CONFIG", replace(CONFIG, points=120))
     model = clusters(0, 400)
     cameras = make_rig(model, 2, 640, 480)
     points = model.means[:200]
@@ -41,8 +44,8 @@ def test_the_strongest_of_each_view_are_kept_where_it_showed_them(monkeypatch: p
 @pytest.mark.parametrize("scale", [1.0, 0.001])
 def test_what_other_views_show_is_kept_before_what_is_strong(monkeypatch: pytest.MonkeyPatch, scale: float) -> None:
     """At the same place and looking alike; in three views before in two; a heap seen by one view counts for nothing."""
-    monkeypatch.setattr(entries, "POINTS", 12)
-    monkeypatch.setattr(entries, "NEIGHBORS", 120)  # that places decide, not how many lie near
+    narrow = replace(CONFIG, points=12, neighbors=120)  # that places decide, not how many lie near
+    monkeypatch.setattr(entries, "CONFIG", narrow)
     model = clusters(0, 400)
     cameras = make_rig(transform_model(model, scale, np.eye(3), np.zeros(3)), 3, 640, 480)
     rng = np.random.default_rng(1)

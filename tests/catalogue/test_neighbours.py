@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from engine.catalogue import neighbors
-from engine.catalogue.neighbors import NEAREST, Neighbors
+from engine.catalogue.config import CONFIG
+from engine.catalogue.neighbors import Neighbors
 from engine.model import Float32
 
 
@@ -32,9 +34,9 @@ def test_votes_are_the_nearest_ones_less_the_next() -> None:
         distance = np.linalg.norm(whole - asked, axis=1)
         order = np.argsort(distance)
         mine = votes.query == query
-        assert set(votes.row[mine]) == set(order[:NEAREST])
+        assert set(votes.row[mine]) == set(order[: CONFIG.nearest])
         for row, gain in zip(votes.row[mine], votes.gain[mine], strict=True):
-            assert gain == pytest.approx(1 - distance[row] / distance[order[NEAREST]], abs=1e-4)
+            assert gain == pytest.approx(1 - distance[row] / distance[order[CONFIG.nearest]], abs=1e-4)
 
 
 def test_a_query_speaks_for_an_asset_once() -> None:
@@ -48,7 +50,7 @@ def test_a_query_speaks_for_an_asset_once() -> None:
 def test_many_vectors_are_sorted_into_lists_and_found_all_the_same(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(neighbors, "FEW", 1000)
+    monkeypatch.setattr(neighbors, "CONFIG", replace(CONFIG, few=1000))
     vectors = crowd(2, 40, 100)
     near = filled(vectors)
     assert hasattr(near._index, "nprobe")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.flows.embed.delivery import APART, densify
+from engine.flows.embed.config import CONFIG
+from engine.flows.embed.delivery import densify
 from engine.model import GaussianModel
 from engine.numerics.gaussians import covariances
 from tests.raster.scenes import random_model
@@ -41,4 +42,4 @@ def test_both_halves_have_the_moments_and_the_opacity_of_the_whole() -> None:
     np.testing.assert_array_equal(first.opacities, second.opacities)
     np.testing.assert_allclose(1 - (1 - first.opacities) ** 2, model.opacities[rows], atol=1e-5)
     longest = np.exp(model.log_scales[rows].max(axis=1))
-    np.testing.assert_allclose(np.linalg.norm(gap, axis=1), APART * longest, rtol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(gap, axis=1), CONFIG.plan.apart * longest, rtol=1e-4)

@@ -10,8 +10,8 @@ import pytest
 
 from engine.compress.hvq import HvqConfig
 from engine.errors import InputError
-from engine.flows.embed import auto_profile as choosing
 from engine.flows.embed.auto_profile import Choice, choose, wanted_z
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import Auto, EmbedConfig, compose, profile
 from engine.flows.embed.variant import Variant
@@ -46,7 +46,7 @@ def test_a_rich_scene_keeps_its_fidelity(plant: GaussianModel) -> None:
     assert choice.rehearsal.predicted_z >= choice.wanted_z
     assert choice.config.psnr_db == 47.0
     assert choice.config.views == 6
-    assert choice.config.view_size == choosing.VIEW_SIZE
+    assert choice.config.view_size == CONFIG.auto.view_size
     assert choice.rehearsal.held_out_db >= 45.0
     assert choice.report() == choose_for(plant, 32).report()
 
@@ -111,4 +111,4 @@ def test_more_fidelity_and_fewer_cells_foretell_less(plant: GaussianModel) -> No
 def test_what_is_wanted_of_a_picture() -> None:
     assert wanted_z(16) > z_threshold(CHANCE_RATE)
     assert wanted_z(64) == pytest.approx(2 * wanted_z(16))
-    assert wanted_z(1) == pytest.approx(choosing.MARGIN * z_threshold(CHANCE_RATE))
+    assert wanted_z(1) == pytest.approx(CONFIG.auto.margin * z_threshold(CHANCE_RATE))

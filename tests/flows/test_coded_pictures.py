@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from engine.flows.verify.config import CONFIG
 from engine.flows.verify.search import verify_images
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
@@ -42,7 +45,7 @@ def test_blocks_are_read_in_the_pictures_own_pixels(
         picture = np.ascontiguousarray(attacked(shot, ("jpeg", 10))[29:349, 45:365][:, ::-1])
     own = z(scene, camera, picture)
     if kind == "turned before":  # bilinear: softer than a render
-        monkeypatch.setattr("engine.flows.verify.suspect_evidence.SOFT", ())
+        monkeypatch.setattr("engine.flows.verify.suspect_evidence._CONFIG", replace(CONFIG.evidence, soft=()))
         assert own > 1.05 * z(scene, camera, picture)
     for module in ("engine.flows.verify.suspect_evidence", "engine.watermark.image_evidence"):
         monkeypatch.setattr(f"{module}.find_grid", lambda _: None)

@@ -10,7 +10,8 @@ import pytest
 from engine.compress.impact import PRIOR, paper_impact
 from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.flows.embed import delivery
-from engine.flows.embed.delivery import BAND_SHARE, MOST_STAGES, slim_down, unmarked_delivery
+from engine.flows.embed.config import CONFIG
+from engine.flows.embed.delivery import slim_down, unmarked_delivery
 from engine.flows.embed.planning_basis import color_weights
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.views.camera_rig import measure_extent
@@ -66,9 +67,9 @@ def test_bands_spend_their_share_of_the_error_at_most(ball: Ball, monkeypatch: p
     monkeypatch.setattr(delivery, "drop_unseen_bands", spy)
     monkeypatch.setattr(delivery, "prune", lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0))
     thin, report = slim(ball, 30.0)
-    assert allowed == [(3 * 64 * 64, pytest.approx(30.0 - 10 * np.log10(BAND_SHARE)))]
+    assert allowed == [(3 * 64 * 64, pytest.approx(30.0 - 10 * np.log10(CONFIG.plan.band_share)))]
     assert report["sh_bands_dropped"] > 0  # type: ignore[operator]
-    assert worst_psnr(ball, thin) >= 30.0 - 10 * np.log10(BAND_SHARE)
+    assert worst_psnr(ball, thin) >= 30.0 - 10 * np.log10(CONFIG.plan.band_share)
 
 
 def test_a_budget_that_the_bands_alone_would_break_keeps_them(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +100,7 @@ def test_compact_learns_stages_until_the_mark_has_room(ball: Ball, more: float) 
     config = EmbedConfig(output="compact", compact_db=first + more)
     compact, stages = unmarked_delivery(ball.model, ball.stages, ball.original, ball.impact, config)
     assert worst_psnr(ball, compact) >= config.compact_db + 0.8
-    assert 1 < len(stages) <= MOST_STAGES
+    assert 1 < len(stages) <= CONFIG.plan.most_stages
     assert stages[0] is ball.stages[0], "the stage that carries the mark"
     np.testing.assert_allclose(compact.sh, sum(stage.decode() for stage in stages).reshape(compact.sh.shape), atol=1e-6)
 

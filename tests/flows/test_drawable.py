@@ -11,7 +11,8 @@ from engine.flows.embed.profiles import profile
 from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views import view_set as scenes
 from engine.flows.views.camera_rig import make_rig
-from engine.flows.views.render_cost import MOST_PAIRS, SIDE, check_drawable
+from engine.flows.views.config import CONFIG
+from engine.flows.views.render_cost import check_drawable
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.model import GaussianModel
 from engine.raster import count_overlaps, prepare_view
@@ -32,8 +33,8 @@ def test_overlaps_are_told_without_drawing(make: object) -> None:
 
 
 def test_real_scenes_are_far_from_the_bound(plant: GaussianModel) -> None:
-    most = max(count_overlaps(plant, eye).sum() for eye in make_rig(plant, 8, SIDE, SIDE))
-    assert 20 * most < MOST_PAIRS
+    most = max(count_overlaps(plant, eye).sum() for eye in make_rig(plant, 8, CONFIG.cost.side, CONFIG.cost.side))
+    assert 20 * most < CONFIG.cost.most_pairs
 
 
 def test_an_embedding_is_refused_before_it_draws(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:

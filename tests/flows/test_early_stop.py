@@ -6,14 +6,16 @@ import numpy as np
 
 from engine.compress.impact import frequency_impact, measure_impact
 from engine.flows.views.camera_rig import make_rig
-from engine.flows.views.view_set import SIZE, VIEWS, early_stop, look, render_early
+from engine.flows.views.config import CONFIG
+from engine.flows.views.view_set import early_stop, look, render_early
 from engine.raster import render
 from tests.watermark.ball import ball_model
 
 
 def test_weights_are_the_ranks_of_w_freq() -> None:
     model = ball_model(300)
-    seen = look(model, make_rig(model, VIEWS, SIZE, SIZE), lambda _: None)
+    size = CONFIG.frequency_size
+    seen = look(model, make_rig(model, CONFIG.frequency_views, size, size), lambda _: None)
     value = frequency_impact(model, measure_impact(model, seen.views, seen.images))
     early = early_stop(model, 1.2)
     assert early.tau == 1.2

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import SH_C0, Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.pictures.landmarks import rendered_landmarks as landmark_making
+from engine.pictures.landmarks.config import CONFIG as LANDMARKS
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
 from engine.records.record import Record
@@ -113,7 +115,7 @@ def test_copies_share_a_bank_whatever_made_it(small_plant: GaussianModel, monkey
     """The layer that they share follows from it: another bank would be another layer."""
     new = quick(small_plant, copy="a", landmark_views=2).record
     with monkeypatch.context() as before:
-        before.setattr(landmark_making, "DETECTED", 20)
+        before.setattr(landmark_making, "CONFIG", replace(LANDMARKS, detected=20))
         old = quick(small_plant, copy="a", landmark_views=2).record
     banks = [landmarks_in(record.plan_arrays) for record in (old, new)]
     assert [len(bank) <= 40 for bank in banks if bank is not None] == [True, False]

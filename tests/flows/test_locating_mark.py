@@ -56,7 +56,7 @@ def test_half_taken_from_the_original_is_altered_the_other_marked(scene: MarkedS
     assert (regions.state[share == 1] == State.MARKED).all()
     assert (regions.state[share == 0] == State.ALTERED).mean() > 0.98  # 1 % may be called marked
     said = report.summary()
-    assert said["marked"] + said["altered"] + said["unclear"] == regions.asked == regions.partition.count
+    assert said["marked"] + said["altered"] + said["unclear"] == regions.tested == regions.partition.count
     assert said["unclear"] < 5
     assert report.claimed
 

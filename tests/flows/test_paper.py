@@ -145,4 +145,4 @@ def test_the_presets_are_the_papers() -> None:
 
 def test_records_of_our_profiles_say_nothing_of_the_paper() -> None:
     for name, config in PROFILES.items():
-        assert ("paper" in config.told()) == name.startswith("paper")
+        assert ("paper" in config.to_json()) == name.startswith("paper")

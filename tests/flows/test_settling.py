@@ -10,21 +10,10 @@ import pytest
 
 from engine.flows.embed import copy_mark as marking
 from engine.flows.embed import layer_strengths as settling
-from engine.flows.embed.copy_mark import DRAWS, Committed, make_owner_mark
+from engine.flows.embed.config import CONFIG
+from engine.flows.embed.copy_mark import Committed, make_owner_mark
 from engine.flows.embed.embedding import embed
-from engine.flows.embed.layer_strengths import (
-    CLOSE,
-    GRAIN_ROOM_DB,
-    GRAIN_SSIM_SHARE,
-    MARGIN_DB,
-    WASTE,
-    Fidelity,
-    Settled,
-    add_dc,
-    measure,
-    settle,
-    settle_grain,
-)
+from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure, settle, settle_grain
 from engine.flows.embed.profiles import EmbedConfig, profile
 from engine.flows.embed.variant import Variant
 from engine.flows.views.view_set import ViewSet
@@ -65,8 +54,10 @@ def test_the_grain_takes_no_more_than_its_part() -> None:
     assert 0.001 < found.grain.center < 0.9
     assert found.grain.scale == pytest.approx(found.grain.center * 0.4 / 0.9, rel=1e-3)
     alone = measure(ball.original, grained(ball.original, found.grain))
-    allowed = Fidelity(WANTED.psnr_db + GRAIN_ROOM_DB, 1 - GRAIN_SSIM_SHARE * (1 - WANTED.ssim))
-    assert math.exp(-CLOSE) - 0.02 < alone.room_to(allowed) < math.exp(WASTE) + 0.02
+    allowed = Fidelity(
+        WANTED.psnr_db + CONFIG.strength.grain_room_db, 1 - CONFIG.strength.grain_ssim_share * (1 - WANTED.ssim)
+    )
+    assert math.exp(-CONFIG.strength.close) - 0.02 < alone.room_to(allowed) < math.exp(CONFIG.strength.waste) + 0.02
 
 
 @pytest.mark.parametrize("power", [1.0, 0.5, 0.35])
@@ -81,11 +72,11 @@ def test_what_the_grain_costs_is_measured_where_it_is_used(monkeypatch: pytest.M
         return [Fidelity(worst + better[id(views.cameras[k])], 1.0) for k in chosen]
 
     monkeypatch.setattr(settling, "measure_each", shows)
-    asked = replace(WANTED, psnr_db=40.0 - MARGIN_DB)
+    asked = replace(WANTED, psnr_db=40.0 - CONFIG.strength.margin_db)
     found = settle_grain(ball.original, asked)
     grain, spent = found.grain, found.spent
-    over = spent.psnr_db - 40.0 - GRAIN_ROOM_DB
-    assert -20 * CLOSE / math.log(10) - 0.01 < over < 20 * WASTE / math.log(10)
+    over = spent.psnr_db - 40.0 - CONFIG.strength.grain_room_db
+    assert -20 * CONFIG.strength.close / math.log(10) - 0.01 < over < 20 * CONFIG.strength.waste / math.log(10)
     assert spent.psnr_db == pytest.approx(38.0 - 20 * power * math.log10(grain.center / 0.05))
 
 
@@ -98,7 +89,7 @@ def test_without_grain_the_tint_has_all() -> None:
         settle_grain(ball.original, WANTED, Variant(free_centers=False, free_sizes=False)),
     )
     assert not found.grain.there
-    assert found.tint.psnr_db == pytest.approx(WANTED.psnr_db + MARGIN_DB)
+    assert found.tint.psnr_db == pytest.approx(WANTED.psnr_db + CONFIG.strength.margin_db)
 
 
 def test_strengths_know_nothing_of_the_copy(small_plant: GaussianModel) -> None:
@@ -128,7 +119,7 @@ def test_key_views_keep_the_asked_fidelity_whatever_the_chips(small_plant: Gauss
         made = embed(small_plant, bench_key(3), original_sha256="11" * 32, config=SMALL, copy=copy)
         assert made.report["psnr_worst_view"] >= 47.0
         assert made.report["ssim_worst_view"] >= 0.998
-    assert DRAWS > 1
+    assert CONFIG.strength.draws > 1
 
 
 def test_where_no_strength_will_do_the_last_plan_is_the_one_embedded(monkeypatch: pytest.MonkeyPatch) -> None:

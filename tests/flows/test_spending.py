@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.flows.embed import auto_profile as choosing
 from engine.flows.embed.auto_profile import Choice, choose
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import Auto, compose, delivered_as, profile
 from engine.flows.embed.rehearsal import Rehearsal, Rehearsing
@@ -143,4 +143,4 @@ def test_the_format_counts_where_the_way_is_open() -> None:
 def test_without_an_allowance_nothing_is_spent(rough: GaussianModel) -> None:
     found = chosen(rough, Auto(profile("fast", landmark_views=0)))
     assert (found.spent, found.delivery.model is rough) == (None, True)
-    assert (found.config.view_size, choosing.VIEW_SIZE) == (256, 256)
+    assert (found.config.view_size, CONFIG.auto.view_size) == (256, 256)

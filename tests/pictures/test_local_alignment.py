@@ -8,6 +8,7 @@ import pytest
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import remap
 from engine.pictures.alignment import local_flow as local_alignment
+from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render_depth
@@ -85,7 +86,7 @@ def test_what_differs_and_is_not_bent_is_given_up_at_half_size(
     def fail(*_: Float32) -> None:
         raise AssertionError("bent")
 
-    image, alpha, _ = render_depth(plant, camera.with_side(2 * local_alignment.TELLING))
+    image, alpha, _ = render_depth(plant, camera.with_side(2 * CONFIG.flow.telling))
     plain = np.clip(image, 0.0, 1.0)
     noisy = plain + np.random.default_rng(0).normal(0.0, 0.1, plain.shape).astype(np.float32)
     monkeypatch.setattr(local_alignment, "_step", fail)

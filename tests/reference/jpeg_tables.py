@@ -3,14 +3,14 @@
 import numpy as np
 
 from engine.model import Float64
-from engine.pictures.jpeg.block_grid import LEAST_STEP
+from engine.pictures.jpeg.config import CONFIG
 
 
 def fit_tables(coefficients: Float64, tables: Float64) -> list[float]:
     """Of coefficients (K, B) and tables (Q, K): see there."""
     fits = []
     for table in tables:
-        use = table >= LEAST_STEP
+        use = table >= CONFIG.least_step
         steps = np.broadcast_to(table[use][:, None], coefficients[use].shape)
         multiple = coefficients[use] / steps
         loud = np.abs(multiple) > 0.6

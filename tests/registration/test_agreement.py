@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from engine.registration.match_kernels import BINS, Agreement, Pairs, degrees_of_agreement, evidence
+from engine.registration.config import Agreement
+from engine.registration.match_kernels import BINS, Pairs, degrees_of_agreement, evidence
 from tests.reference import agreement
 
 

@@ -9,9 +9,10 @@ from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.registration import agreement
 from engine.registration import registration_search as registering
-from engine.registration.agreement import STRAYS, same_order
+from engine.registration.agreement import same_order
+from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.match_classes import CLASSES, OWN_SIZE, growth_in_order
+from engine.registration.match_classes import growth_in_order
 from engine.registration.registration_search import register
 from tests.registration.registration_cases import marked
 from tests.registration.test_classes import shaken, wide
@@ -27,13 +28,13 @@ def test_growth_is_learnt_from_what_looks_alike_and_lies_near() -> None:
     model = wide()
     everything = np.ones(len(model), bool)
     parts = growth(shaken(marked(model), 0.3), everything)
-    assert len(parts) == CLASSES
+    assert len(parts) == CONFIG.classes.count
     assert (parts > 0.15).all()  # along the longest axis 0.3 of the size, along the others less
     assert (parts < 0.3).all()
     assert (growth(marked(model), everything) == 0.0).all()
     # What lies farther than a Gaussian is large is another; nor is anything learnt from none.
     away = marked(model)
-    shift = 2.0 * OWN_SIZE * np.exp(away.log_scales.max(axis=1, keepdims=True))
+    shift = 2.0 * CONFIG.classes.own_size * np.exp(away.log_scales.max(axis=1, keepdims=True))
     gone = away.with_(means=(away.means + shift).astype(np.float32))
     assert (growth(gone, everything) == 0.0).all()
     assert (growth(shaken(marked(model), 0.3), ~everything) == 0.0).all()
@@ -54,7 +55,7 @@ def test_large_ones_are_trusted_and_nothing_is_searched_again(monkeypatch: pytes
     assert got.match_quality[largest].mean() > 0.9
 
 
-@pytest.mark.parametrize(("share", "sought"), [(0.5 * STRAYS, False), (0.02, True)])
+@pytest.mark.parametrize(("share", "sought"), [(0.5 * CONFIG.order.strays, False), (0.02, True)])
 def test_a_few_strays_are_let_go(share: float, sought: bool) -> None:
     model = wide()
     rng = np.random.default_rng(1)

@@ -9,7 +9,8 @@ from engine.model import GaussianModel
 from engine.numerics.gaussians import covariances, merge_groups, surface_mass
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
-from engine.registration.mixtures import COLOR_STD, LIMIT, Mixtures, Parts, Wholes, likeliest_wholes, mix
+from engine.registration.config import CONFIG
+from engine.registration.mixtures import Mixtures, Parts, Wholes, likeliest_wholes, mix
 from tests.reference import mixtures as twin
 
 
@@ -52,8 +53,8 @@ def test_likeliest_wholes_are_the_twins(compiled: bool) -> None:
             wholes.centers,
             covariances(suspect),
             wholes.colors,
-            color_std=COLOR_STD,
-            limit=LIMIT,
+            color_std=CONFIG.merging.color_std,
+            limit=CONFIG.merging.limit,
         )
         assert owner[i] == best
         assert distance2[i] == pytest.approx(expected, rel=1e-3)

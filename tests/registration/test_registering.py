@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.numerics.similarity import quaternion_product
 from engine.registration import registration_search as registering
 from engine.registration import similarity_search as locating
+from engine.registration.config import CONFIG
 from engine.registration.registration_search import ReferenceIndex, Registration, register
 from tests.registration.registration_cases import (
     MOVES,
@@ -222,8 +225,9 @@ def test_discs_with_a_third_scale_of_nothing():
 
 
 def test_scales_out_of_bounds_are_not_believed(monkeypatch):
-    for module in (locating, registering):
-        monkeypatch.setattr(module, "MAX_SCALE", 50.0)
+    narrow = replace(CONFIG.similarity, max_scale=50.0)
+    monkeypatch.setattr(locating, "_CONFIG", narrow)
+    monkeypatch.setattr(registering, "CONFIG", replace(CONFIG, similarity=narrow))
     order = shuffled(scene(0))
     suspect = moved(marked(scene(0)).take(order), "tiny")
     assert not register(scene(0), suspect).found

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from engine.model import DISC_THICKNESS, GaussianModel
-from engine.watermark.grain import ATTRIBUTES, FLAT, Grain, roughen, thin, units
+from engine.watermark.config import CONFIG
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen, thin, units
 from tests.reference.grain import rotation_of, roughened
 
 
@@ -33,7 +34,7 @@ def test_every_centre_moves_along_its_own_axes_and_every_size_by_a_step() -> Non
     for i in range(20):
         scales = np.exp(model.log_scales[i].astype(float))
         along = rotation_of(model.quats[i].astype(float)).T @ (rough.means[i] - model.means[i].astype(float))
-        reach = 0.05 * np.maximum(scales, FLAT * np.sort(scales)[1])
+        reach = 0.05 * np.maximum(scales, CONFIG.grain.flat * np.sort(scales)[1])
         np.testing.assert_allclose(along, reach * signs[i, :3], atol=1e-6)
     np.testing.assert_allclose(rough.log_scales - model.log_scales, 0.02 * signs[:, 3:], atol=1e-6)
     for name in ("quats", "opacity_logits", "sh"):
@@ -51,7 +52,7 @@ def test_what_is_displaced_is_that_of_the_slow_twin() -> None:
 
 def test_a_sheet_moves_through_its_thickness_by_a_share_of_its_width() -> None:
     flat = np.log(np.array([[0.1, 0.001, 0.2]], dtype=np.float32))
-    np.testing.assert_allclose(units(flat), [[0.1, FLAT * 0.1, 0.2]], rtol=1e-5)
+    np.testing.assert_allclose(units(flat), [[0.1, CONFIG.grain.flat * 0.1, 0.2]], rtol=1e-5)
 
 
 def test_a_disc_keeps_its_thickness() -> None:

@@ -12,7 +12,8 @@ from engine.flows.embed.layer_strengths import add_dc
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
-from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, PublicMark, _limits, gather_image_evidence
+from engine.watermark.config import CONFIG
+from engine.watermark.image_evidence import PictureEvidence, PublicMark, _limits, gather_image_evidence
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import expected_z
 from engine.watermark.statistics import claim_z
@@ -77,13 +78,13 @@ def test_what_a_blur_moved_is_pulled_back_to_where_it_came_from(ball: Ball) -> N
 
 
 def test_a_patch_painted_over_saturates(ball: Ball) -> None:
-    """It may not outweigh the rest: no chip counts for more than CLIP medians of its carrier."""
+    """It may not outweigh the rest: no chip counts for more than `clip` medians of its carrier."""
     painted = marked_picture(ball, 0).copy()
     painted[50:80, 50:80] = [1.0, 0.0, 1.0]
     found = read(ball, painted)
     shown = np.abs(found.weights * found.y).reshape(-1, 3)
     for carrier in shown.T:
-        assert carrier.max() <= 1.02 * CLIP * np.median(carrier[carrier > 0])
+        assert carrier.max() <= 1.02 * CONFIG.evidence.clip * np.median(carrier[carrier > 0])
 
 
 def test_the_quantiser_of_a_jpeg_is_made_use_of(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +162,7 @@ def test_chips_of_like_response_count_for_what_their_scatter_leaves() -> None:
     # of one kind and class, all have one factor
     rank = np.argsort(np.argsort(response[::3]))
     factor = weighed[::3] / y[::3]
-    for part in np.array_split(np.arange(len(rank)), ALIKE):
+    for part in np.array_split(np.arange(len(rank)), CONFIG.evidence.alike):
         inside = factor[np.isin(rank, part[5:-5])]
         np.testing.assert_allclose(inside, inside[0], rtol=1e-9)
     silent = np.where(np.arange(chips) % 7 == 0, 0.0, response)  # what is not seen says nothing, whatever is measured
@@ -176,4 +177,4 @@ def test_chips_of_like_response_count_for_what_their_scatter_leaves() -> None:
 def test_what_saturates_follows_from_the_usual_not_from_the_loudest() -> None:
     """Of each carrier its own; silent chips do not count."""
     loudest = np.array([1.0, 20.0, -1.0, 20.0, 1.0, 0.0, 500.0, -60.0])
-    np.testing.assert_array_equal(_limits(loudest, 2), CLIP * np.array([1.0, 20.0] * 4))
+    np.testing.assert_array_equal(_limits(loudest, 2), CONFIG.evidence.clip * np.array([1.0, 20.0] * 4))

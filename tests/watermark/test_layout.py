@@ -5,7 +5,8 @@ import pytest
 
 from engine.errors import CapacityError, InputError
 from engine.model import SH_C0
-from engine.watermark.carriers import CHROMA_FLOOR, LUMA, make_carriers
+from engine.watermark.carriers import LUMA, make_carriers
+from engine.watermark.config import CONFIG
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import derive_message, message_hex, message_signs
@@ -130,7 +131,7 @@ def test_carriers_have_one_sign_and_chroma_keeps_its_floor() -> None:
         assert direction[np.abs(direction).argmax()] > 0
     assert carriers.amplitudes[0] == carriers.amplitudes.max()
     relative = carriers.amplitudes / carriers.amplitudes[0] * abs(carriers.directions[0] @ LUMA)
-    assert relative.min() >= CHROMA_FLOOR - 1e-9
+    assert relative.min() >= CONFIG.planning.chroma_floor - 1e-9
 
 
 def test_bits_are_dealt_anew_in_every_hand() -> None:
@@ -164,11 +165,8 @@ def test_carriers_over_all_coefficients_are_the_first_singular_vectors() -> None
     carriers = make_carriers(book, usage, whole=True)
     np.testing.assert_allclose(np.abs((carriers.directions * right).sum(axis=1)), 1.0, atol=1e-9)
     assert np.linalg.norm(carriers.directions[:, 3:]) > 0.05
-    np.testing.assert_allclose(
-        carriers.amplitudes / np.linalg.norm(np.maximum(np.abs(right[:, :3] @ LUMA), CHROMA_FLOOR)) ** -1,
-        np.maximum(np.abs(right[:, :3] @ LUMA), CHROMA_FLOOR),
-        atol=1e-9,
-    )
+    floored = np.maximum(np.abs(right[:, :3] @ LUMA), CONFIG.planning.chroma_floor)
+    np.testing.assert_allclose(carriers.amplitudes * np.linalg.norm(floored), floored, atol=1e-9)
     dc = make_carriers(book[:, :3], usage, whole=True)
     np.testing.assert_array_equal(dc.directions, make_carriers(book, usage).directions)
 

@@ -7,9 +7,10 @@ import pytest
 
 from engine.model import Float32
 from engine.registration.mixtures import Mixtures
+from engine.watermark.config import CONFIG
 from engine.watermark.layout import Layout
-from engine.watermark.model_evidence import SATURATION, Evidence, compare_colors, gather_residual, remove_affine_color
-from engine.watermark.paper_decoder import LAMBDA_FREQ, adaptive_weights, decode_paper, paper_steps
+from engine.watermark.model_evidence import Evidence, compare_colors, gather_residual, remove_affine_color
+from engine.watermark.paper_decoder import adaptive_weights, decode_paper, paper_steps
 
 
 def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Evidence:
@@ -161,13 +162,13 @@ def test_what_members_share_is_noise_though_they_agree() -> None:
 
 
 def test_no_chip_outweighs_the_others() -> None:
-    """A second mark, ten times as strong, on a few code vectors: each saturates at SATURATION medians."""
+    """A second mark, ten times as strong, on a few code vectors: each saturates at `saturation` medians."""
     layout, reference, suspect, _ = marked()
     louder = suspect + np.where(layout.labels[0] < 20, 0.1, 0.0)[:, None].astype(np.float32)
     evidence = gather_model_evidence(layout, reference, louder, identity(len(reference)))
     shown = np.abs(evidence.weights * evidence.y).reshape(-1, 3)
     for carrier in shown.T:
-        assert carrier.max() <= 1.1 * SATURATION * np.median(carrier)
+        assert carrier.max() <= 1.1 * CONFIG.evidence.saturation * np.median(carrier)
 
 
 def test_a_tie_of_the_paper_rule_reads_as_a_set_bit() -> None:
@@ -260,7 +261,9 @@ def test_adaptive_weights_grow_with_beta_and_fall_with_detail() -> None:
     differences = (np.concatenate([smooth, rough]).reshape(2, 12), np.zeros((1, 12)))
     amplitudes = np.array([0.02, 0.02, 0.02, 0.02, 0.04, 0.02])  # two chips a code vector
     weights = adaptive_weights(differences, amplitudes)
-    np.testing.assert_allclose(weights, np.array([1, 1, 1, 1, 2, 1]) * np.repeat([1, 1 / (1 + LAMBDA_FREQ), 1], 2))
+    np.testing.assert_allclose(
+        weights, np.array([1, 1, 1, 1, 2, 1]) * np.repeat([1, 1 / (1 + CONFIG.paper.lambda_freq), 1], 2)
+    )
     np.testing.assert_array_equal(adaptive_weights((np.ones((3, 3)),), np.full(6, 0.1)), np.ones(6))
 
 

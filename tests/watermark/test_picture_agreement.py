@@ -1,11 +1,14 @@
-"""Pictures that do not show what the others do are left out, and no chip is asked which."""
+"""Pictures that do not show what the others do are left out, and no chip decides which."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from engine.watermark import picture_agreement
+from engine.watermark.config import CONFIG
 from engine.watermark.image_evidence import PictureEvidence
 from engine.watermark.picture_agreement import Together, find_contradicting
 from engine.watermark.statistics import log10_false_claim_bound
@@ -90,7 +93,7 @@ def test_they_are_summed_but_for_the_odd_one(monkeypatch: pytest.MonkeyPatch) ->
     assert odd == (5,)
     assert total is not None
     np.testing.assert_allclose(total.y, shown[0].y + shown[1].y + shown[3].y)
-    monkeypatch.setattr(picture_agreement, "MOST_KEPT", 3 * shown[0].nbytes)
+    monkeypatch.setattr(picture_agreement, "_CONFIG", replace(CONFIG.evidence, most_kept=3 * shown[0].nbytes))
     total, odd = together()
     assert odd == ()
     assert total is not None

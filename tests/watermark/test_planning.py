@@ -6,8 +6,8 @@ import pytest
 from engine.compress.hvq import Stage
 from engine.compress.impact import Impact
 from engine.model import SH_C0
-from engine.watermark.layout import MARK_SCALE
-from engine.watermark.planning import BIT_Z, CHIPS_PER_BIT, PlanConfig, capacity_bits, make_plan, predict_z
+from engine.watermark.config import CONFIG
+from engine.watermark.planning import PlanConfig, capacity_bits, make_plan, predict_z
 
 
 def scene(views: int = 3, n: int = 6000, codes: int = 256, seed: int = 0) -> tuple[tuple[Stage, ...], Impact]:
@@ -23,7 +23,7 @@ def scene(views: int = 3, n: int = 6000, codes: int = 256, seed: int = 0) -> tup
 
 def test_amplitudes_have_the_common_median_and_are_positive() -> None:
     plan = make_plan(*scene())
-    assert np.median(plan.layout.amplitudes) == pytest.approx(MARK_SCALE, rel=1e-5)
+    assert np.median(plan.layout.amplitudes) == pytest.approx(CONFIG.planning.mark_scale, rel=1e-5)
     assert (plan.layout.amplitudes > 0).all()
 
 
@@ -103,7 +103,7 @@ def test_capacity_is_where_bits_get_their_least_z() -> None:
     bit_of = (np.arange(plan.layout.chips) // 3 % capacity).astype(np.int32)
     if capacity < plan.layout.chips / 16 - 1:
         z = np.median(predict_z(plan.energies, bit_of, capacity).mean(axis=1))
-        assert z == pytest.approx(BIT_Z, rel=0.15)
+        assert z == pytest.approx(CONFIG.planning.bit_z, rel=0.15)
     assert capacity_bits(plan.times(1e-6).energies, plan.layout.chips) == 0
 
 
@@ -155,4 +155,4 @@ def test_the_rarely_seen_carry_more() -> None:
 
 def test_a_bit_rests_on_enough_chips_whatever_the_strength() -> None:
     plan = make_plan(*scene())
-    assert capacity_bits(plan.times(1e6).energies, 320) == 320 // CHIPS_PER_BIT
+    assert capacity_bits(plan.times(1e6).energies, 320) == 320 // CONFIG.planning.chips_per_bit

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
+from engine.watermark.config import CONFIG
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import expected_z
-from engine.watermark.region_tree import CODES, Partition, divide
-from engine.watermark.regions import LEAST_CHIPS, RegionConfig, Regions, State, discoveries, judge_regions
+from engine.watermark.region_tree import Partition, divide
+from engine.watermark.regions import RegionConfig, Regions, State, discoveries, judge_regions
 from engine.watermark.statistics import claim_z
 from tests.watermark.ball import marked_ball
 
@@ -27,7 +28,7 @@ def test_leaves_are_disjoint_and_balanced_and_neighbours() -> None:
     assert LEAVES.count >= 4
     assert LEAVES.count & (LEAVES.count - 1) == 0
     codes = np.bincount(LEAVES.of_codes[LEAVES.of_codes >= 0], minlength=LEAVES.count)
-    assert codes.min() >= CODES
+    assert codes.min() >= CONFIG.regions.codes
     assert codes.max() - codes.min() <= 1
     np.testing.assert_array_equal(LEAVES.of_gaussians, LEAVES.of_codes[LAYOUT.labels[0]])
     means = BALL.model.means
@@ -134,9 +135,9 @@ def test_regions_are_joined_where_the_evidence_is_thin() -> None:
 
 def test_nothing_is_said_of_few_chips() -> None:
     few = np.zeros(LAYOUT.chips)
-    few[: int(LEAST_CHIPS) - 5] = 1.0
+    few[: int(CONFIG.regions.least_chips) - 5] = 1.0
     found = judged(evidence(0.0, weights=few))
-    assert found.asked == 0
+    assert found.tested == 0
     assert set(found.state) <= {State.UNCLEAR, State.UNSEEN}
     assert not found.z.any()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from engine.compress.cells import cell_features
 from engine.compress.hvq import HvqConfig, Stage, group_means, quantize
 from engine.model import Float64, GaussianModel
 from engine.watermark import secret_cells
+from engine.watermark.config import CONFIG
 from engine.watermark.keys import OwnerKey
 from engine.watermark.secret_cells import cells_key, jitter, join_cells
 from tests.watermark.test_grain import blobs
@@ -70,10 +73,10 @@ def test_cells_of_another_use_are_others() -> None:
     assert same_share(joined("a"), joined("a", b"y" * 32)) < 0.6
 
 
-@pytest.mark.parametrize("held", ["TILT", "SLIDE"])
+@pytest.mark.parametrize("held", ["tilt", "slide"])
 def test_cuts_are_tilted_and_slid_by_the_key(held: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of the two alone tells copies apart."""
-    monkeypatch.setattr(secret_cells, held, 0.0)
+    """Each of the two alone makes copies differ."""
+    monkeypatch.setattr(secret_cells, "_CONFIG", replace(CONFIG.cells, **{held: 0.0}))
     assert same_share(joined("a"), joined("b")) < 0.9
 
 

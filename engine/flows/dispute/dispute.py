@@ -1,7 +1,7 @@
 """The dispute: two parties say that one model is theirs. Whose mark is in the other's original?
 
-Whoever marks a stolen model has a true mark in it, so both claims can hold. But the thief's original was made from the
-owner's marked model, and the owner's original from nothing of the thief's:
+A mark that a thief adds to a stolen model is a true one, so both claims can hold. But the thief's original was made
+from the owner's marked model, and the owner's original from nothing of the thief's:
 
 1. Both marks are looked for in both originals (the sealed references), and in both published models.
 2. The one whose mark is in the other's original came first. Both, or neither: said so.
@@ -22,13 +22,13 @@ from engine.flows.verify.search import Suspect, verify
 from engine.model import GaussianModel
 from engine.numerics.plain import Json, plain
 from engine.watermark.claim import Claim, Verdict
-from engine.watermark.layout import MARK_SCALE
+from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.rates import moment
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
 __all__ = ["Dispute", "Look", "Party", "settle"]
 
-COPIED = 0.25 * MARK_SCALE
+COPIED = 0.25 * WATERMARK.planning.mark_scale
 """Largest typical difference of colours, SH units, between a model and its copy: a quarter of what a mark moves. Trade
 formats round to less."""
 
@@ -55,16 +55,16 @@ class Look:
         """Plain values."""
         names = ("verdict", "z", "z_threshold", "log10_false_claim", "matching_bits", "bits", "route", "change")
         claim = self.claim.to_json()
-        told = {name: claim[name] for name in (*names, "derivation")}
-        return {"mark_of": self.mark_of, "place": self.place, "kind": self.kind, "marked": self.marked, **told}
+        shown = {name: claim[name] for name in (*names, "derivation")}
+        return {"mark_of": self.mark_of, "place": self.place, "kind": self.kind, "marked": self.marked, **shown}
 
 
 @dataclass(frozen=True)
 class Date:
-    """When a party's record was registered, as the party says and as somebody else attests."""
+    """When a party's record was registered, as the party says and as others attest."""
 
     self_declared: str  # may be empty
-    attested: str  # UTC, ISO 8601; empty where nobody attests it
+    attested: str  # UTC, ISO 8601; empty where it is not attested
     attested_by: str
 
 
@@ -76,7 +76,7 @@ class Dispute:
     looks: tuple[Look, ...]
     dates: dict[str, Date]  # by party
     registered_first: str  # by attested times: "a" or "b"; empty where not both are attested
-    same_original: bool  # the two originals are the same asset, or one is made from the other
+    same_original: bool  # the two originals are one asset, or one is made from the other
     seen: tuple[tuple[str, str], ...]  # what was done, and by whom: keys of `dispute_text.DEEDS`
     records: dict[str, dict[str, str]]  # by party: record_id, owner, original_sha256
 
@@ -111,11 +111,11 @@ def settle(a: Party, b: Party, progress: Progress | None = None) -> Dispute:
 def _looks(parties: dict[str, Party], progress: Progress) -> Iterator[Look]:
     """Both marks in both originals, then in both published models."""
     config = VerifyConfig(false_claim_rate=DISHONEST_CLAIMANT_RATE)
-    # A mark is never in the original that its own chips were drawn for: that question is not asked.
-    asked = [("a", "b", "original"), ("b", "a", "original")]
-    asked += [(mark, place, "published") for mark in "ab" for place in "ab"]
-    for number, (mark, place, kind) in enumerate(asked):
-        progress(f"{kind} of {place}", number / len(asked))
+    # A mark is never in the original that its own chips were drawn for: that case is not tested.
+    questions = [("a", "b", "original"), ("b", "a", "original")]
+    questions += [(mark, place, "published") for mark in "ab" for place in "ab"]
+    for number, (mark, place, kind) in enumerate(questions):
+        progress(f"{kind} of {place}", number / len(questions))
         model = parties[place].opened.reference if kind == "original" else parties[place].model
         claim = verify(Suspect(model), parties[mark].opened, config).claim
         yield Look(mark, place, kind, claim.verdict is Verdict.MARKED, claim)
@@ -155,7 +155,7 @@ def _deeds(
 
 
 def _same_colors(one: GaussianModel, two: GaussianModel) -> bool:
-    """Whether two models are the same Gaussians in the same colours."""
+    """Whether two models are the same Gaussians in the same colors."""
     if len(one) != len(two):
         return False
     gap = one.sh[:, 0].astype(np.float64) - two.sh[:, 0]

@@ -13,7 +13,8 @@ import numpy as np
 from engine.catalogue.entry import SeenPoints, see_points
 from engine.compress.hvq import Stage, group_means
 from engine.flows.embed.auto_profile import Choice
-from engine.flows.embed.copy_mark import COPY_MARGIN_DB, Committed, OwnerMark, make_owner_mark
+from engine.flows.embed.config import CONFIG
+from engine.flows.embed.copy_mark import Committed, OwnerMark, make_owner_mark
 from engine.flows.embed.delivery import Delivery
 from engine.flows.embed.draws import Draws, shares_layer
 from engine.flows.embed.landmark_bank import bank_views, make_bank
@@ -54,7 +55,7 @@ class Asset:
     landmarks: Landmarks | None
     seen: SeenPoints | None
     key: OwnerKey = field(repr=False)
-    copied: bool  # whether its copies are told apart: a layer of theirs then lies on the owner's
+    copied: bool  # whether its copies differ: a layer of theirs then lies on the owner's
 
     @cached_property
     def grained(self) -> Grained:
@@ -78,7 +79,7 @@ class Asset:
         draws = Draws(self.original_sha256, terms.stamp, shared)
         commitments = terms.variant.commitments
         committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments, draws)
-        wanted = Fidelity(settings.psnr_db + (COPY_MARGIN_DB if self.copied else 0.0), settings.ssim)
+        wanted = Fidelity(settings.psnr_db + (CONFIG.strength.copy_margin_db if self.copied else 0.0), settings.ssim)
         at_view = terms.variant.at_view
         pixels = ground.picture_scale
         return make_owner_mark(views, settled, self.key, committed, wanted, pixels, at_view, self.lattices)
@@ -107,11 +108,11 @@ class Asset:
         if not self.copied:
             return plan
         secret = cells_key(self.key, self.digest, COPIES)
-        beside = stages[0] if own else self._joined(secret, blurred=still is not None)
+        stage = stages[0] if own else self._joined(secret, blurred=still is not None)
         times = None if still is None else multiples(secret, still)
         alone = replace(config, stages=1)
         layer = make_plan(
-            (beside,), ground.impact, alone, emphasis, None, lambda chips: jitter(secret, chips), times, whole=whole
+            (stage,), ground.impact, alone, emphasis, None, lambda chips: jitter(secret, chips), times, whole=whole
         ).layout
         return replace(plan, copies=replace(layer, directions=plan.layout.directions[:1]))
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.delivery import Delivery, deliver
 from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
@@ -19,32 +20,19 @@ from engine.flows.progress import Clock
 from engine.formats import encode_model
 from engine.model import Camera, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.keys import OwnerKey
-from engine.watermark.planning import BIT_Z
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
 __all__ = ["Choice", "Rehearsal", "choose", "wanted_z", "ways"]
+
+_CONFIG = CONFIG.auto
 
 
 def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
     """Settings that spend an allowance on a model of this degree: pruned as it is, or cut to fewer harmonics first."""
     for degree in range(sh_degree + 1):
         yield replace(config, prune=replace(config.prune, budget_db=allowed_db, sh_degree=degree))
-
-
-MARGIN = 1.15
-"""Promised over needed z: with other chips z is one more or less, in other views a little, too."""
-SLACK_DB = 2.0
-"""By how much the mark may fall short of its PSNR in a view that no key view was near."""
-VIEW_SIZE = 256
-"""Key views of 256 pixels shape the same mark as those of 800: docs/RESULTS.md, pareto."""
-VIEWS = (6, 10, 16)
-LOWER_DB = (1.0, 2.0)
-"""What may be taken off the fidelity where evidence is short; the last gives the fidelity of `strong`."""
-SSIM_PER_DB = 0.0005
-"""And off SSIM with it, as in `strong`."""
-KEPT_SHARE = 0.9
-"""Of what the whole model promises, where that is less than wanted: what a smaller file must keep."""
 
 
 @dataclass(frozen=True)
@@ -126,11 +114,11 @@ class ChoiceReport:
 
 
 def wanted_z(bits: int) -> float:
-    """z that a picture must be predicted to give: a claim at 1e-9 and every bit clear, with MARGIN.
+    """z that a picture must be predicted to give: a claim at 1e-9 and every bit clear, with a `margin`.
 
-    A bit's z is the message's over the root of its length; BIT_Z of them is what the planner accepts.
+    A bit's z is the message's over the root of its length; `bit_z` of them is what the planner accepts.
     """
-    return MARGIN * max(z_threshold(CHANCE_RATE), (BIT_Z + 0.2) * math.sqrt(bits))
+    return _CONFIG.margin * max(z_threshold(CHANCE_RATE), (WATERMARK.planning.bit_z + 0.2) * math.sqrt(bits))
 
 
 @one_blas_thread
@@ -138,7 +126,7 @@ def choose(
     model: GaussianModel,
     key: OwnerKey,
     bits: int,
-    asked: Auto,
+    auto: Auto,
     original_sha256: str,
     cameras: Sequence[Camera] | None = None,
 ) -> Choice:
@@ -150,34 +138,34 @@ def choose(
     ----------
     key : OwnerKey
         Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
-    asked : Auto
+    auto : Auto
         The number of cells is not chosen: fewer save no time, more show no better.
     original_sha256 : str
         Hex digest of the owner's file.
     cameras : sequence of Camera, optional
         The owner's own.
     """
-    wanted, tried, allowed = wanted_z(bits), 0, asked.start.prune.budget_db
-    whole = replace(asked.start, prune=replace(asked.start.prune, budget_db=None))
-    for views in VIEWS:
+    wanted, tried, allowed = wanted_z(bits), 0, auto.start.prune.budget_db
+    whole = replace(auto.start, prune=replace(auto.start.prune, budget_db=None))
+    for views in _CONFIG.views:
         tried += 1
         # A loss is measured where it is seen: on large views.
-        config = replace(whole, views=views, view_size=VIEW_SIZE if allowed is None else whole.view_size)
+        config = replace(whole, views=views, view_size=_CONFIG.view_size if allowed is None else whole.view_size)
         ground = lay_groundwork(model, key, original_sha256, config, cameras)
         scene = Rehearsing(deliver(ground, config, Clock()), cameras)
         found = scene.at(config)
-        if found.held_out_db >= config.psnr_db - SLACK_DB:
+        if found.held_out_db >= config.psnr_db - _CONFIG.slack_db:
             break
-    if found.predicted_z < wanted and not asked.keep_psnr:
+    if found.predicted_z < wanted and not auto.keep_psnr:
         faithful = config
-        for lower in LOWER_DB:
+        for lower in _CONFIG.lower_db:
             config = _lowered(faithful, lower)
             found, tried = scene.at(config), tried + 1
             if found.predicted_z >= wanted:
                 break
     delivery, spent = replace(scene.delivery, settings=config), None
     if allowed is not None:
-        delivery, found, spent = _spend(ground, delivery, found, asked, allowed, wanted, cameras)
+        delivery, found, spent = _spend(ground, delivery, found, auto, allowed, wanted, cameras)
         tried += sum(way.predicted_z is not None for way in spent.ways)
     return Choice(found, wanted, tried, ground, delivery, spent)
 
@@ -186,18 +174,18 @@ def _spend(
     ground: Groundwork,
     kept: Delivery,
     found: Rehearsal,
-    asked: Auto,
+    auto: Auto,
     allowed_db: float,
     wanted: float,
     cameras: Sequence[Camera] | None,
 ) -> tuple[Delivery, Rehearsal, Spent]:
     """The smallest file within the allowance that shows as much of the mark as is wanted, or nearly what there is."""
-    config, least = kept.settings, min(wanted, KEPT_SHARE * found.predicted_z)
+    config, least = kept.settings, min(wanted, _CONFIG.kept_share * found.predicted_z)
     made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
     within = [one for one in made if (one.pruned.psnr_pruned_worst_view or 0.0) >= allowed_db]
     # The whole file: a palette (.sog) costs a part as much as all.
-    weighed = sorted(((len(encode_model(one.model, asked.format)), one) for one in within), key=lambda each: each[0])
-    whole, chosen = len(encode_model(kept.model, asked.format)), None
+    weighed = sorted(((len(encode_model(one.model, auto.format)), one) for one in within), key=lambda each: each[0])
+    whole, chosen = len(encode_model(kept.model, auto.format)), None
     tried: list[Way] = []
     for size, one in weighed:
         z, degree = None, one.model.sh_degree
@@ -212,4 +200,4 @@ def _spend(
 
 def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:
     """Less fidelity, more evidence."""
-    return replace(config, psnr_db=max(config.psnr_db - by, 20.0), ssim=config.ssim - SSIM_PER_DB * by)
+    return replace(config, psnr_db=max(config.psnr_db - by, 20.0), ssim=config.ssim - _CONFIG.ssim_per_db * by)

@@ -1,9 +1,9 @@
 """One mark: bits and chips drawn from the key for a settled plan, put into the model, and looked at.
 
-1. The owner's layer, the same in all copies: where its own chips show more than the public ones did, the plan is made
+1. The owner's layer, which all copies share: where its own chips show more than the public ones did, the plan is made
    weaker, which draws others.
 2. The layer of one copy, on top. Where it shows too much it is drawn anew, never made weaker: a strength of a copy's
-   own would give its values away to whoever compares copies.
+   own would give its values away to anyone who compares copies.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.draws import Draws
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
@@ -29,18 +30,12 @@ from engine.watermark.messages import Signs
 from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
 from engine.watermark.spreading import ONE_BIT, public_values, signed_amplitudes, spread_grain
 
-DRAWS = 4
-"""Plans tried: weaker ones where the owner's own chips show more than the public ones did."""
-COPY_DRAWS = 6
-"""Draws of a copy's layer, of which the first that shows no more than was asked for is taken, else the least
-visible."""
-COPY_MARGIN_DB = 0.1
-"""By how much the owner's layer keeps more than was asked for, where copies' draws are to come on top of it."""
+_CONFIG = CONFIG.strength
 
 
 @dataclass(frozen=True, eq=False)
 class Committed:
-    """What the records of all copies commit to beside the plan."""
+    """What the records of all copies commit to in addition to the plan."""
 
     asset: bytes  # digest of the canonical reference
     message: Signs
@@ -105,7 +100,7 @@ def make_owner_mark(
 ) -> OwnerMark:
     """Mark the model of these views with what all of its copies share.
 
-    CapacityError if the scene cannot carry the message. After DRAWS plans the last one stands, and its fidelity tells.
+    CapacityError if the scene cannot carry the message. After `draws` plans the last one stands, with its fidelity.
 
     Parameters
     ----------
@@ -114,10 +109,10 @@ def make_owner_mark(
     wanted : Fidelity
         Of the worst view, with a copy layer of public values where there is one.
     pixels : (V, 1) float64
-        By how much more a picture of REFERENCE_PIXELS shows than each view does.
+        By how much more a picture of `reference_pixels` shows than each view does.
     """
     bits, model = len(committed.message), views.model
-    for left in reversed(range(DRAWS)):
+    for left in reversed(range(_CONFIG.draws)):
         plan, grain, copies = settled.plan, settled.grain, settled.copies
         pictured = capacity_bits(plan.energies * pixels, plan.layout.chips)
         capacity = max(pictured, grain_capacity(len(model)) if grain.there else 0)
@@ -154,7 +149,7 @@ def make_mark(
     if copies is None:
         return Mark(owner.model, committed.plan(model, settled), 0.0, owner.fidelity)
     best: Mark | None = None
-    for draw in range(COPY_DRAWS):
+    for draw in range(_CONFIG.copy_draws):
         plan = committed.plan(model, settled, draw)
         secret = draw_copy(key, committed.asset, copy, plan)
         values = copies.spreading(secret, None, len(model)).values(ONE_BIT)

@@ -11,6 +11,7 @@ import numpy as np
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
 from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature
 from engine.compress.pruning import drop_unseen_bands, prune, prune_at
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.planning_basis import Groundwork, color_weights
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.progress import Clock
@@ -20,10 +21,7 @@ from engine.model import Float64, GaussianModel
 from engine.numerics.plain import Json, Report
 from engine.numerics.similarity import quaternion_to_rotation
 
-BAND_SHARE = 0.05
-"""Share of the pruning budget's squared error that dropping SH bands may use."""
-
-MOST_STAGES = 5
+_CONFIG = CONFIG.plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +78,7 @@ def slim_down(
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
-    thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
+    thin, dropped = drop_unseen_bands(model, curvature, pixels, _CONFIG.band_share * 10 ** (-budget / 10.0))
     rank = _worth(model, impact, config)
     pruned = prune(thin, rank, measure, extent.radius, config.prune)
     if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
@@ -113,7 +111,7 @@ def unmarked_delivery(
     """The unmarked model as delivered: itself ("fidelity"), or the sum of its code vectors ("compact").
 
     "compact" learns residual stages until the worst view keeps `compact_db` against the original (with room for
-    the mark), up to MOST_STAGES: as many codes as the scene needs.
+    the mark), up to `most_stages`: as many codes as the scene needs.
     """
     if config.output == "fidelity":
         return model, stages
@@ -121,15 +119,11 @@ def unmarked_delivery(
     weights = color_weights(model, impact, by_frequency=config.paper.frequency)
     while True:
         compact = model.with_(sh=decode_stages(stages))
-        if measure(compact) >= config.compact_db + 0.8 or len(stages) > MOST_STAGES:
+        if measure(compact) >= config.compact_db + 0.8 or len(stages) > _CONFIG.most_stages:
             return compact, stages
         residual = (model.sh - compact.sh).reshape(len(model), -1)
         number = len(stages)
         stages = (*stages, learn_residual_stage(residual, weights, 1024, config.quantize, seed=number))
-
-
-APART = 0.5
-"""How far each half moves along the longest axis, in standard deviations of the whole along it."""
 
 
 def densify(model: GaussianModel, worth: Float64, share: float) -> GaussianModel:
@@ -144,9 +138,9 @@ def densify(model: GaussianModel, worth: Float64, share: float) -> GaussianModel
     rows = np.sort(np.argsort(-worth, kind="stable")[:count])
     axis = model.log_scales[rows].argmax(axis=1)
     along = quaternion_to_rotation(model.quats[rows])[np.arange(count), :, axis]  # (count, 3)
-    step = APART * np.exp(model.log_scales[rows, axis].astype(np.float64))[:, None] * along
+    step = _CONFIG.apart * np.exp(model.log_scales[rows, axis].astype(np.float64))[:, None] * along
     log_scales, logits = model.log_scales.copy(), model.opacity_logits.copy()
-    log_scales[rows, axis] += np.float32(0.5 * np.log(1.0 - APART**2))
+    log_scales[rows, axis] += np.float32(0.5 * np.log(1.0 - _CONFIG.apart**2))
     clear = np.sqrt(np.maximum(1.0 - model.opacities[rows].astype(np.float64), 1e-12))  # of each half
     logits[rows] = np.log(np.maximum(1.0 - clear, 1e-12) / clear)
     means = model.means.copy()

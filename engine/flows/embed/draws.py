@@ -1,4 +1,4 @@
-"""What is drawn for the plans of one asset (`flows.records.draw`), the same for all of its copies."""
+"""What is drawn for the plans of one asset (`flows.records.draw`), one draw for all of its copies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Draws:
     """Who draws for an asset: a time-stamping service; or, where copies of it are out, who drew for them."""
 
     original: str  # SHA-256 of the owner's file, hex
-    stamp: Stamp | None = None  # None: nobody draws
+    stamp: Stamp | None = None  # None: nothing is drawn
     earlier: Record | None = None  # of a copy with which the owner's layer is shared
 
     def draw(self, key: OwnerKey, reference_digest: bytes, plan: Plan) -> tuple[str, bytes | None]:

@@ -3,7 +3,7 @@
 0. Choose the settings, where that is left open.
 1. Look at the model from the key views.            5. Plan both layers; commit to the plan.
 2. Prune to the budget, if one was given.           6. Settle the strength; draw bits and chips from the key.
-3. Fix the canonical reference.                     7. Refine, where that was asked for.
+3. Fix the canonical reference.                     7. Refine, where configured.
 4. Quantise hierarchically.                         8. Write the record: all that verification needs.
 
 Up to the landmarks all copies of a model have everything in common: see `asset`.
@@ -29,7 +29,7 @@ from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
-from engine.flows.records.draw import stamps_beside
+from engine.flows.records.draw import stamps_extra
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
@@ -66,7 +66,7 @@ class EmbedReport(Report):
     seconds_by_stage: dict[str, float]
 
     def to_json(self) -> Json:
-        """Plain values; what was pruned stands beside the rest."""
+        """Plain values; what was pruned is among the rest."""
         found = super().to_json()
         del found["pruned"]
         return found | self.pruned.to_json()
@@ -94,7 +94,7 @@ def embed(
 ) -> Embedding:
     """Mark a model.
 
-    CapacityError if the scene cannot carry the message at the asked fidelity; InputError if the model or the options
+    CapacityError if the scene cannot carry the message at the wanted fidelity; InputError if the model or the options
     are unusable.
 
     Parameters
@@ -222,7 +222,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
             asset.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
-            extra={"settings": settings.told(), **stamps_beside(committed.stamps)},
+            extra={"settings": settings.to_json(), **stamps_extra(committed.stamps)},
             copy=copy,
             registered_at=terms.registered_at,
         )
@@ -254,7 +254,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
 
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
-    """Refuse a second owner's layer on one model: whoever has a copy of each could tell both from their difference."""
+    """Refuse a second owner's layer on one model: with a copy of each, both follow from their difference."""
     if not shares_layer(earlier, asset.digest, asset.key):
         return
     ours, arrays = plan

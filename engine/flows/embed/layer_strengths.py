@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.variant import PLAIN, AtView, Variant
 from engine.flows.views.view_set import ViewSet
@@ -27,11 +28,7 @@ from engine.watermark.lattice import FREE, Lattices
 from engine.watermark.planning import Plan, scaled
 from engine.watermark.spreading import public_signs, public_values
 
-ROUNDS = 10
-"""Most renders of all views."""
-PATIENCE = 2
-"""Rounds after which the interval is halved. SSIM falls faster than with the factor's square where splats reach over
-a black background; steps that trust the square then jump to and fro across the target."""
+_CONFIG = CONFIG.strength
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,7 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
     """
     factor, above, best = start, np.inf, None
     aim = Fidelity(psnr_db + 0.02, 1.0 - 0.996 * (1.0 - least_ssim))  # a hair above both
-    for number in range(ROUNDS):
+    for number in range(_CONFIG.rounds):
         found = _measure(views, displacement, factor)
         if not np.isfinite(found.psnr_db):  # nothing in sight changes: any strength will do
             return found
@@ -106,7 +103,7 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
         if below > 0.0 and above < 1.006 * below:
             break
         factor *= step
-        if number >= PATIENCE and below > 0.0 and np.isfinite(above):
+        if number >= _CONFIG.patience and below > 0.0 and np.isfinite(above):
             factor = float(np.sqrt(below * above))
     return best if best is not None else _measure(views, displacement, factor)
 
@@ -131,26 +128,6 @@ def _compare(image: Float32, picture: Float32) -> Fidelity:
 def worst_of(views: Sequence[Fidelity]) -> Fidelity:
     """The least of both among views."""
     return Fidelity(min(view.psnr_db for view in views), min(view.ssim for view in views))
-
-
-GRAIN_ROOM_DB = 6.0
-"""How far above the asked PSNR the grain alone stays: a quarter of the squared error. It has chips enough; what it
-takes away is evidence of pictures."""
-GRAIN_SSIM_SHARE = 0.25
-"""Of what SSIM may lose; SSIM sees moved edges sooner than squared error does."""
-SAMPLE = 10_000
-"""Gaussians whose sizes are looked at."""
-GRAIN_ROUNDS = 4
-"""Most measurements of the grain."""
-LEAST_GROWTH = 0.3
-"""Errors grow more slowly than the grain where a hair's breadth turns the order of Gaussians round (playbot: to the
-power of a half); the exponent is taken from the last two measurements, and not below this."""
-CLOSE = 0.05
-"""A grain that exceeds its part of the budget by less than this, in log of amplitude, stays."""
-WASTE = 0.3
-"""And one that could grow by less."""
-MARGIN_DB = 0.05
-"""Aimed at above the target, for chips that meet less luckily than the public ones."""
 
 
 NO_GRAIN = Grain()
@@ -194,7 +171,7 @@ def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) ->
     plan : Plan
         At unit strength.
     grained : Grained
-        The second layer, from `settle_grain`: the same for all copies.
+        The second layer, from `settle_grain`, which all copies share.
     """
     wanted, spent = _aim(config), grained.spent
     error = 10.0 ** (-wanted.psnr_db / 10.0) - 10.0 ** (-spent.psnr_db / 10.0)
@@ -203,8 +180,8 @@ def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) ->
     guess = first_guess(plan.energies, views.cameras, left.psnr_db)
     grain, own = grained.grain, NO_GRAIN
     if plan.copies is not None:
-        plan, beside = _with_copies(views, plan, displacement, config.plan.copy_tint, guess)
-        displacement = displacement + beside
+        plan, copied = _with_copies(views, plan, displacement, config.plan.copy_tint, guess)
+        displacement = displacement + copied
         grain, own = (grain.times(math.sqrt(part)) for part in (1.0 - config.plan.copy_grain, config.plan.copy_grain))
     strength = solve_strength(views, displacement, left.psnr_db, left.ssim, guess)
     return Settled(plan.times(strength.factor), grain, left, own)
@@ -226,34 +203,29 @@ def _with_copies(views: ViewSet, plan: Plan, owner: Float32, share: float, facto
 
 
 def _aim(config: EmbedConfig) -> Fidelity:
-    return Fidelity(config.psnr_db + MARGIN_DB, config.ssim)
-
-
-COARSE = 2.0
-"""Steps of a lattice, in the grain's own, beyond which an attribute carries none: rounding would cost more of the
-fidelity than the grain, and show in every reading as noise."""
+    return Fidelity(config.psnr_db + _CONFIG.margin_db, config.ssim)
 
 
 def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN, lattices: Lattices = FREE) -> Grained:
-    """The grain that was asked for, or as much of it as its part of the budget allows, and what that costs as measured.
+    """The wanted grain, or as much of it as its part of the budget allows, and what that costs as measured.
 
     There is none where neither centres nor sizes have room for it.
     """
     wanted, model, at_view = _aim(config), views.model, variant.at_view
     center, scale = config.plan.grain_center * variant.free_centers, config.plan.grain_scale * variant.free_sizes
-    size = float(np.median(units(model.log_scales[:: max(1, len(model) // SAMPLE)])))
+    size = float(np.median(units(model.log_scales[:: max(1, len(model) // _CONFIG.sample)])))
     grain = Grain(
-        center if lattices.step("means") <= COARSE * center * size else 0.0,
-        scale if lattices.step("log_scales") <= COARSE * scale else 0.0,
+        center if lattices.step("means") <= _CONFIG.coarse * center * size else 0.0,
+        scale if lattices.step("log_scales") <= _CONFIG.coarse * scale else 0.0,
     )
     if not grain.there:
         return Grained(NO_GRAIN, Fidelity(np.inf, 1.0))
     signs = public_signs(ATTRIBUTES * len(model)).astype(np.float32).reshape(-1, ATTRIBUTES)
-    allowed = Fidelity(wanted.psnr_db + GRAIN_ROOM_DB, 1.0 - GRAIN_SSIM_SHARE * (1.0 - wanted.ssim))
+    allowed = Fidelity(wanted.psnr_db + _CONFIG.grain_room_db, 1.0 - _CONFIG.grain_ssim_share * (1.0 - wanted.ssim))
     factor, growth = 1.0, 1.0
     tried: list[tuple[float, float, Fidelity]] = []  # factor, log of what it may be multiplied with, what was found
     chosen = list(range(len(views.cameras)))
-    for _ in range(GRAIN_ROUNDS):
+    for _ in range(_CONFIG.grain_rounds):
         rough = lattices.onto(model, roughen(model, grain.times(factor), signs), bytes(32))
         each = measure_each(views, rough, at_view, chosen)
         found = worst_of(each)
@@ -261,14 +233,15 @@ def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN, 
             chosen = sorted({each.index(min(each, key=lambda view: view.psnr_db)), each.index(min(each, key=_ssim))})
         room = math.log(found.room_to(allowed)) if np.isfinite(found.psnr_db) else math.inf
         tried.append((factor, room, found))
-        if -CLOSE < room < WASTE or (room > 0.0 and factor == 1.0):
+        if -_CONFIG.close < room < _CONFIG.waste or (room > 0.0 and factor == 1.0):
             break
         if len(tried) > 1:
             (x0, y0, _), (x1, y1, _) = tried[-2:]
-            growth = min(max((y1 - y0) / math.log(x0 / x1), LEAST_GROWTH), 1.0)
+            growth = min(max((y1 - y0) / math.log(x0 / x1), _CONFIG.least_growth), 1.0)
         factor = min(factor * math.exp(room / growth), 1.0)
     # The most of what may stay, else the least.
-    factor, _, spent = max(tried, key=lambda each: (each[1] > -CLOSE, each[0] if each[1] > -CLOSE else -each[0]))
+    close = -_CONFIG.close
+    factor, _, spent = max(tried, key=lambda each: (each[1] > close, each[0] if each[1] > close else -each[0]))
     return Grained(grain.times(factor), spent)
 
 

@@ -15,6 +15,7 @@ from engine.compress.cells import cell_features
 from engine.compress.hvq import Stage, group_means, quantize
 from engine.compress.impact import Impact, frequency_impact, measure_impact, sh_curvature, uncertain, uncertainty
 from engine.errors import InputError
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.variant import PLAIN, Variant
 from engine.flows.progress import Clock
@@ -23,16 +24,12 @@ from engine.flows.views.render_cost import check_drawable
 from engine.flows.views.view_set import ViewSet, look
 from engine.formats.strays import stray_rows
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.keys import POSE, OwnerKey, uniform
-from engine.watermark.planning import REFERENCE_PIXELS
 
 __all__ = ["Groundwork", "lay_groundwork"]
 
-COMPACT = 4
-"""By how much fewer public cells the compact output has, of whose code vectors its file consists."""
-
-LEAST_WIDTH = 1e-4
-"""Of the centres across a line through them, in its length: a rotation about the line itself shows nowhere."""
+_CONFIG = CONFIG.plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +58,8 @@ class Groundwork:
         own = self.variant.own_stages(self.model, self.colors)
         config = self.config.quantize
         if self.config.output == "compact":
-            config = replace(config, cells=config.cells // COMPACT, min_members=config.min_members * COMPACT)
+            fewer = _CONFIG.compact
+            config = replace(config, cells=config.cells // fewer, min_members=config.min_members * fewer)
         return own or quantize(self.model, self.colors, self.extent.radius, config, self._coarse)
 
     @property
@@ -84,17 +82,18 @@ class Groundwork:
 
     @property
     def picture_scale(self) -> Float64:
-        """(V, 1) by how much more a picture of REFERENCE_PIXELS shows than each key view does."""
-        return np.array([[REFERENCE_PIXELS / (camera.width * camera.height)] for camera in self.cameras])
+        """(V, 1) by how much more a picture of `reference_pixels` shows than each key view does."""
+        pixels = WATERMARK.planning.reference_pixels
+        return np.array([[pixels / (camera.width * camera.height)] for camera in self.cameras])
 
     def of(self, model: GaussianModel, clock: Clock) -> Groundwork:
-        """Of another model in the same place, seen from the same views."""
+        """Of another model in its place, seen from its views."""
         if model is self.model:
             return self
         return _seen(model, self.cameras, self.extent, self.config, self.variant, clock)
 
     def views_of(self, model: GaussianModel, clock: Clock) -> ViewSet:
-        """Another model from the same views, without its impact."""
+        """Another model from these views, without its impact."""
         if model is self.model:
             return self.views
         return look(model, self.cameras, clock.advance, self.variant.at_view)
@@ -153,7 +152,7 @@ def _seen(
 
 
 def _is_blank(image: Float32) -> bool:
-    """Whether all pixels (H, W, 3) show the same, colors outside 0..1 as a screen shows them."""
+    """Whether all pixels (H, W, 3) show one color, colors outside 0..1 as a screen shows them."""
     shown = np.clip(image, 0.0, 1.0).reshape(-1, 3)
     return bool((shown == shown[0]).all())
 
@@ -171,7 +170,7 @@ def _check_placeable(model: GaussianModel, extent: Extent) -> None:
         )
     kept = means[~stray_rows(model.means)]  # a single one far away would stretch any model to a line
     spread = np.linalg.svd(np.cov(kept.T, bias=True), compute_uv=False)  # variances along the principal axes
-    if spread[1] <= LEAST_WIDTH**2 * spread[0]:
+    if spread[1] <= _CONFIG.least_width**2 * spread[0]:
         raise InputError(
             "the centres of this model lie in one point or on a line: a copy of it could not be registered"
         )

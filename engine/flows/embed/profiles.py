@@ -52,7 +52,7 @@ class PaperConfig:
 
 @dataclass(frozen=True)
 class EmbedConfig:
-    """Everything an embedding can be told."""
+    """All settings of an embedding."""
 
     psnr_db: float = 47.0  # wanted PSNR of the mark in the worst view, against the unmarked render
     ssim: float = 0.998  # wanted SSIM of the mark in the worst view
@@ -83,12 +83,12 @@ class EmbedConfig:
         thinned = self.prune.budget_db is not None or self.paper.tau_base > 0 or self.paper.densify > 0
         return self.output == "fidelity" and not thinned
 
-    def told(self) -> Json:
-        """As a record tells it: what the paper does is named where it is done."""
-        told = asdict(self)
+    def to_json(self) -> Json:
+        """As a record holds it: what the paper does is named where it is done."""
+        plain = asdict(self)
         if self.paper == PaperConfig():
-            del told["paper"]
-        return told
+            del plain["paper"]
+        return plain
 
 
 PAPER = EmbedConfig(
@@ -148,7 +148,7 @@ class Auto:
 
 
 Settings = EmbedConfig | Auto
-"""What an embedding is told: everything, or to choose."""
+"""The settings of an embedding, or how to choose them."""
 
 
 def profile(name: str, **changes: Any) -> EmbedConfig:
@@ -166,12 +166,12 @@ def compose(
     budget_db: float | None = None,
     knobs: Sequence[str] = (),
 ) -> Settings:
-    """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own.
+    """A named profile, or `auto`, with what an owner wants changed; None leaves the profile's own.
 
     `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
     """
-    asked = {"psnr_db": psnr_db, "output": output}
-    changes: Json = {knob: value for knob, value in asked.items() if value is not None}
+    wanted = {"psnr_db": psnr_db, "output": output}
+    changes: Json = {knob: value for knob, value in wanted.items() if value is not None}
     config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
     if budget_db is not None:
         config = replace(config, prune=replace(config.prune, budget_db=budget_db))

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from engine.compress.impact import uncertainty
 from engine.flows.embed.asset import Asset
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import Mark, OwnerMark
 from engine.flows.embed.distortions import draw
 from engine.flows.embed.layer_strengths import Fidelity, add_dc, measure, solve_strength
@@ -29,9 +30,6 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.wavelet import coefficient_detail, dwt2
 from engine.raster import View, prepare_view, sh_colors
 from engine.watermark.layout import Layout
-
-BIT_TEMPERATURE = 4.0
-"""z per bit at which the message loss saturates: z = 4 is a bit error of 3e-5."""
 
 
 class _Blend(torch.autograd.Function):
@@ -110,7 +108,7 @@ def refine(
     uncertainty : (N,) float64
         Laplace uncertainty of the DC colour; scales each Gaussian's step.
     advance : callable
-        Told the fraction done.
+        Called with the fraction done.
     seed : int
         Of views and distortions.
     codes : Codes, optional
@@ -141,7 +139,7 @@ def refine(
             clean = layer(renders[k].permute(2, 0, 1)[None])
         residual = (layer(marked.permute(2, 0, 1)[None]) - clean)[0].permute(1, 2, 0).contiguous()
         z = _soft_bits(_pull(residual, views[k]), pattern, groups, bits)
-        message = torch.nn.functional.softplus(-z / BIT_TEMPERATURE * 3.0).mean()  # BCE of the right bits
+        message = torch.nn.functional.softplus(-z / CONFIG.plan.bit_temperature * 3.0).mean()  # BCE of the right bits
         change = marked - renders[k]
         reconstruction = change.abs().mean() / (rms * SH_C0)
         wavelet = sum(band.abs().mean() for band in dwt2(change, 2)[1][0]) / (rms * SH_C0)
@@ -163,7 +161,7 @@ def _of_gaussians(delta: Tensor, rows: list[Tensor]) -> Tensor:
     """(N, D) displacement of every Gaussian: the sum of its code vectors', or with no rows its own."""
     if not rows:
         return delta
-    # The gradient of delta[row] is summed in any order by several threads; that of this one always in the same.
+    # The gradient of delta[row] is summed in any order by several threads; that of this one always in one order.
     return torch.stack([delta.index_select(0, row) for row in rows]).sum(dim=0)
 
 

@@ -4,7 +4,7 @@ Its strength is solved on the key views, with random chips and no landmarks. The
 rendered large, kept as bad JPEG files and read as suspects would be. Under noise follows without rendering, from the
 mark's PSNR and the number of chips that matter,
 
-    z = 1 / sqrt(1 / (NOISE_EFFICIENCY^2 S) + 1 / E),   S = 3 P 10^(-PSNR / 10) / NOISE^2,   P pixels, E chips.
+    z = 1 / sqrt(1 / (efficiency^2 S) + 1 / E),   S = 3 P 10^(-PSNR / 10) / noise^2,   P pixels, E chips.
 
 The lower z is what the scene promises.
 """
@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.delivery import Delivery
-from engine.flows.embed.layer_strengths import GRAIN_SSIM_SHARE, add_dc, first_guess, solve_strength
+from engine.flows.embed.layer_strengths import add_dc, first_guess, solve_strength
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.view_set import look
@@ -31,17 +32,8 @@ from engine.watermark.statistics import claim_z
 
 __all__ = ["Rehearsal", "Rehearsing"]
 
-PICTURE = 800
-"""Side of the bad picture, pixels."""
-QUALITY = 10
-"""Of the JPEG it goes through."""
-NOISE, NOISE_EFFICIENCY = 0.1, 0.46
-"""Std of the noise in the other bad picture, range 1, and measured over ideal z under it: the lowest of four scenes at
-44 to 53 dB (docs/RESULTS.md). Noise does not care what the picture shows, so it is not played."""
+_CONFIG = CONFIG.rehearsal
 REHEARSAL_SEED = 0x5EED
-HELD_OUT, WORST = 6, 2
-"""Views that no key view was; the one that shows least of the mark decides. At another fidelity only those are read
-that showed least before."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +43,7 @@ class Rehearsal:
     # Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise of
     # std 0.1, whichever is lower
     predicted_z: float
-    psnr_db: float  # of the mark, worst key view; above the one asked for where SSIM limits
+    psnr_db: float  # of the mark, worst key view; above the wanted one where SSIM limits
     held_out_db: float  # of the mark, worst of some views that are not key views
 
 
@@ -78,21 +70,22 @@ class Rehearsing:
         taken = {camera.viewmat.tobytes() for camera in ground.cameras}
         left = [camera for camera in cameras or () if camera.viewmat.tobytes() not in taken]
         if left:
-            spread = np.linspace(0, len(left) - 1, min(HELD_OUT, len(left))).round().astype(int)
-            return [left[i].with_side(PICTURE) for i in spread]
-        jitter = rng.random((HELD_OUT, 4))
-        return make_rig(ground.model, HELD_OUT, PICTURE, PICTURE, jitter=jitter, extent=ground.extent)
+            spread = np.linspace(0, len(left) - 1, min(_CONFIG.held_out, len(left))).round().astype(int)
+            return [left[i].with_side(_CONFIG.side) for i in spread]
+        jitter = rng.random((_CONFIG.held_out, 4))
+        return make_rig(ground.model, _CONFIG.held_out, _CONFIG.side, _CONFIG.side, jitter=jitter, extent=ground.extent)
 
     def at(self, config: EmbedConfig) -> Rehearsal:
         """What these settings' fidelity promises."""
         delivery, energies = self.delivery, self._plan.energies  # (V, C)
         totals = energies.sum(axis=1)
         # What the grain may take of the fidelity is not the tint's, which alone a bad picture shows.
-        rest = 1.0 - GRAIN_SSIM_SHARE if config.plan.grain_center > 0 or config.plan.grain_scale > 0 else 1.0
+        grained = config.plan.grain_center > 0 or config.plan.grain_scale > 0
+        rest = 1.0 - CONFIG.strength.grain_ssim_share if grained else 1.0
         room_db = -10.0 * math.log10(rest)
         start = first_guess(energies, delivery.views.cameras, config.psnr_db + room_db)
-        asked = config.psnr_db + room_db, 1.0 - rest * (1.0 - config.ssim)
-        strength = solve_strength(delivery.views, self._displacement, *asked, start)
+        wanted = config.psnr_db + room_db, 1.0 - rest * (1.0 - config.ssim)
+        strength = solve_strength(delivery.views, self._displacement, *wanted, start)
         layout = self._plan.times(strength.factor).layout
         marked = add_dc(delivery.model.sh, np.float32(strength.factor) * self._displacement)
         pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
@@ -100,16 +93,16 @@ class Rehearsing:
         # Most of it is NumPy on one thread.
         read = side_by_side(lambda k: self._read(pictures[k], k, layout), self._telling)
         found = sorted(zip(read, self._telling, strict=True))
-        self._telling = [k for _, k in found[:WORST]]
+        self._telling = [k for _, k in found[: _CONFIG.worst]]
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
-        signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
-        noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
+        signal = 3.0 * _CONFIG.side**2 * 10 ** (-strength.psnr_db / 10.0) / _CONFIG.noise**2
+        noisy = 1.0 / math.sqrt(1.0 / max(_CONFIG.noise_efficiency**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
         return Rehearsal(min(found[0][0], noisy), strength.psnr_db - room_db, held_out_db - room_db)
 
     def _read(self, picture: Float32, number: int, layout: Layout) -> float:
         """z of the claim from an unseen view of the marked model, kept badly."""
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (self._unseen.images[number], picture))
-        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), QUALITY)
+        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), _CONFIG.quality)
         one_bit = np.zeros(layout.chips, dtype=np.int32)
         return claim_z(y, layout.amplitudes, one_bit, self._signs, np.ones(1, dtype=np.int8))
 
@@ -119,6 +112,6 @@ def _spoil(picture: Float32) -> Float32:
     import cv2
 
     stored = np.round(picture[..., ::-1] * 255.0).astype(np.uint8)
-    coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+    coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _CONFIG.quality])[1]
     decoded = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.float32)
     return decoded[..., ::-1] / np.float32(255.0)

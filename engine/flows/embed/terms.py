@@ -1,4 +1,4 @@
-"""What an embedding is asked for, beside model, key and recipient."""
+"""The options of an embedding, in addition to model, key and recipient."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ __all__ = ["MarkOptions", "MarkTerms"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkTerms:
-    """What an embedding is asked for; InputError where the length of the message is out of range."""
+    """The options of an embedding; InputError where the length of the message is out of range."""
 
     message: Signs | None = None  # (B,) +-1; derived from the key where not given
     bits: int = 32  # length of a derived message
@@ -25,10 +25,10 @@ class MarkTerms:
     cameras: Sequence[Camera] | None = None
     registered_at: str = ""  # time of registration as the caller knows it; no clock is read here
     # A time-stamping service that draws a part of the plan once all the rest is settled, so that records cannot be
-    # tried out without asking it; not asked where `earlier` has what was drawn
+    # tried out without a request to it; not used where `earlier` has what was drawn
     stamp: Stamp | None = None
-    # Record of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of
-    # made anew: same bytes, sooner
+    # Record of another copy of this model. Where that was made of this model and views, its landmarks are taken
+    # instead of made anew: the bytes are equal, and come sooner
     earlier: Record | None = None
     variant: Variant = PLAIN  # what is special about a model that moves, or brings its own codebook
 

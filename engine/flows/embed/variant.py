@@ -11,7 +11,7 @@ from engine.errors import InputError
 from engine.model import Float32, Float64, GaussianModel, Int32
 
 AtView = Callable[[GaussianModel, int], GaussianModel]
-"""From the model (or the same one displaced, in colour and geometry) and the number of a key view to what it sees."""
+"""From the model (or the model displaced, in color and geometry) and the number of a key view to what it sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,8 @@ class Variant:
     # Whether the file has room for a grain in its centres and sizes: no two Gaussians may share an entry of a codebook
     free_centers: bool = True
     free_sizes: bool = True
-    # Digests of what verification will rely on beside the record. They enter its plan, so that the chips are drawn
-    # after them (DESIGN 4.9).
+    # Digests of what verification will rely on in addition to the record. They enter its plan, so that the chips are
+    # drawn after them (DESIGN 4.9).
     commitments: Mapping[str, str] = field(default_factory=dict)
 
     def check(self, model: GaussianModel, *, keeps_rows: bool, refines: bool) -> None:

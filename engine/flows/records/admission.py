@@ -1,7 +1,7 @@
 """What a record may hold: checked whole before anything in it is used.
 
 A record is sealed by a key, but that key may be a stranger's (a dispute), and whatever is in the plan decides the
-chips: a field that nobody reads would be a free number to try records out with. So names that no table here knows are
+chips: a field that is not read would be a free number to try records out with. So names that no table here knows are
 refused, and of those that it knows, type, shape, range and finiteness are checked. A new field is a new row.
 
 Sizes in shapes: N Gaussians of the reference, M_s code vectors of stage s, R carriers in D numbers of a colour (3 of
@@ -88,7 +88,7 @@ def _is_grain(value: Any) -> bool:
 
 
 def _is_copies(value: Any) -> bool:
-    """What the copy layer holds beside its arrays: number of code vectors, the grain, and which draw it is."""
+    """What the copy layer holds in addition to its arrays: number of code vectors, the grain, and which draw it is."""
     if not isinstance(value, dict) or not {"codes", "draw"} <= set(value) <= {"codes", "draw", "grain"}:
         return False
     whole = type(value["codes"]) is int and 1 <= value["codes"] <= MOST_CHIPS
@@ -136,7 +136,7 @@ EXTRA: Mapping[str, Rule] = {
     "settings": Rule(lambda value: isinstance(value, dict), "an object"),
     "stamps": Rule(_is_stamps, f"1 to {MOST_STAMPS} time stamps in base64", required=False),
 }
-"""JSON values beside the plan: nothing here may decide anything that the chips do not follow from."""
+"""JSON values outside the plan: nothing here may decide anything that the chips do not follow from."""
 
 
 def admit(
@@ -157,7 +157,7 @@ def admit(
     copy : str
         Name of the recipient.
     plan, extra : mapping
-        JSON values of the plan, and beside it.
+        JSON values of the plan, and outside it.
     arrays : mapping
         Arrays of the plan.
     gaussians, coefficients : int

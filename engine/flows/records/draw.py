@@ -1,11 +1,11 @@
-"""What a time-stamping service (RFC 3161) draws for a plan: a part of it that nobody can choose or try out at will.
+"""What a time-stamping service (RFC 3161) draws for a plan: a part of it that cannot be chosen or tried out at will.
 
 1. All that the owner's layer follows from is settled: the plan. Its keyed digest are the *terms*.
 2. A time-stamping service stamps the terms and the original's digest.
 3. From the stamp's signature follows what is `drawn`, which enters the plan. The chips follow from that.
 
-So each record that is tried out takes a request to that service (`rates.DRAWS`). The stamp is kept beside the plan: who
-holds one can change what its signature does not cover, and nothing of that may decide a chip.
+So each record that is tried out takes a request to that service (`rates.DRAWS`). The stamp is kept outside the plan: a
+holder can change what its signature does not cover, and nothing of that may decide a chip.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from engine.watermark.keys import OwnerKey
 if TYPE_CHECKING:
     from cryptography import x509
 
-__all__ = ["DRAWN", "STAMPS", "Draw", "draw_request", "stamps_beside", "stamps_in", "terms_of"]
+__all__ = ["DRAWN", "STAMPS", "Draw", "draw_request", "stamps_extra", "stamps_in", "terms_of"]
 
 DRAWN = "drawn"
 """Name of the commitment to what was drawn. In records without a stamp a service drew it by itself, and could have
 tried records out."""
 STAMPS = "stamps"
-"""Name, beside the plan, of the stamps that drew for it, and before for plans that showed too much; the last is its
+"""Name, outside the plan, of the stamps that drew for it, and before for plans that showed too much; the last is its
 own."""
 
 
@@ -82,13 +82,13 @@ def terms_of(key: OwnerKey, reference_digest: bytes, plan: Plan) -> bytes:
     return make_draw_terms(key, reference_digest, shared | {"commitments": commitments}, plan[1])
 
 
-def stamps_beside(stamps: Sequence[bytes]) -> Json:
-    """How a record keeps the time stamps of its plans, beside the plan."""
+def stamps_extra(stamps: Sequence[bytes]) -> Json:
+    """How a record keeps the time stamps of its plans, outside the plan."""
     return {STAMPS: [base64.b64encode(each).decode() for each in stamps]} if stamps else {}
 
 
 def stamps_in(record: Record) -> tuple[bytes, ...]:
-    """The time stamps beside a record's plan; MalformedRecordError if they are none."""
+    """The time stamps outside a record's plan; MalformedRecordError if they are none."""
     try:
         return tuple(base64.b64decode(each, validate=True) for each in record.extra.get(STAMPS, ()))
     except (TypeError, ValueError):

@@ -1,10 +1,10 @@
 """Between a record's arrays and what the flows work with: layout, chips, message, cameras, landmarks.
 
 What enters the decision (reference, labels, carriers, amplitudes, message, key views, landmarks) goes into the
-record's *plan*; the record id, and so the chips, follow from its digest. Only the settings go beside it.
+record's *plan*; the record id, and so the chips, follow from its digest. Only the settings go outside it.
 
 Amplitudes are those embedded: their strength was settled before the chips were drawn. Records of the first version
-have no grain, planned amplitudes of unit strength, and beside the plan the strength, which followed from the chips:
+have no grain, planned amplitudes of unit strength, and outside the plan the strength, which followed from the chips:
 it is used to say what a mark would have shown, never to read one.
 
 From format 3 on a mark has two layers by purpose. The chips of the *owner's* follow from key, reference and a plan that
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from cryptography import x509
 
 FIRST_STRENGTH = 2.4
-"""Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
+"""Strength at which records of the first version are read: typical of 47 dB, one for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -63,15 +63,15 @@ class OpenedRecord:
     cameras: list[Camera]  # key views
     landmarks: Landmarks | None
     settings: Json  # profile and configuration of the embedding
-    # Digests of what verification relies on beside the record, such as a moving original
+    # Digests of what verification relies on in addition to the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
-    # What tells this copy from others of the asset, and the secret from which its chips are drawn; None where there is
-    # no such layer: of a model marked for nobody, and before format 3, when each copy had a mark of its own
+    # How this copy differs from others of the asset, and the secret from which its chips are drawn; None where there is
+    # no such layer: of a model marked without a recipient, and before format 3, when each copy had a mark of its own
     copies: CopyLayer | None = None
     copy_key: bytes = field(default=b"", repr=False)
     kept: Bool | None = None  # (M,) which Gaussians of the committed reference this one still has, where not all
-    draw: Draw | None = None  # by which a part of the plan was drawn, not yet believed; None where nobody did
-    attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
+    draw: Draw | None = None  # by which a part of the plan was drawn, not yet believed; None where none was
+    attested: Attested | None = None  # others' word on when it was registered, checked by the caller
 
     def spreading_of(self, chips: int) -> Spreading:
         """Bits and chips of evidence on so many chips: of the tint alone, or of both layers."""
@@ -188,7 +188,7 @@ def draw_copy(key: OwnerKey, reference_digest: bytes, copy: str, plan: Plan) -> 
 def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) -> OpenedRecord:
     """Open a record file and draw its chips again.
 
-    `attested` is somebody else's word on when it was registered, as the caller has checked it. Errors are those of
+    `attested` is others' word on when it was registered, as the caller has checked it. Errors are those of
     `Record.from_bytes`; MalformedRecordError also when the inside does not fit together.
     """
     record = Record.from_bytes(data, key)
@@ -273,7 +273,7 @@ def landmarks_in(arrays: Mapping[str, npt.NDArray[Any]]) -> Landmarks | None:
 def open_attested(data: bytes, key: OwnerKey, trust: Trust) -> tuple[OpenedRecord, tuple[str, ...]]:
     """A record, attested by whom the reader trusts, and what is to be said of other attestations.
 
-    Errors are those of `open_record`; a record whose attestations do not count is opened all the same.
+    Errors are those of `open_record`; a record whose attestations do not count is still opened.
     """
     witnesses: tuple[Witness, ...] = ()
     notes: tuple[str, ...] = ()

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.regions.config import CONFIG
 from engine.flows.verify.search import Suspect, Verification
 from engine.flows.verify.suspect_evidence import read_gaussians
 from engine.model import Bool, Float64, Int32, Int64
@@ -31,11 +32,6 @@ from engine.watermark.regions import RegionConfig, Regions, State, judge_regions
 from engine.watermark.statistics import log10_false_claim_bound
 
 __all__ = ["FoundPiece", "RegionReport", "locate_mark"]
-
-FAINT = 0.02
-"""Share of what pictures can tell that is left to the leaves which show least: they count as not seen."""
-WIDE = 0.9
-"""Share of a region's Gaussians within its radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +157,7 @@ def _shown(said: list[Evidence], opened: OpenedRecord, leaves: Partition) -> tup
     energy = leaves.sums(np.square(said[0].weights * said[0].signal), tint).sum(axis=1)
     order = np.argsort(energy)
     shown = np.ones(leaves.count, dtype=bool)
-    shown[order[np.cumsum(energy[order]) <= FAINT * energy.sum()]] = False
+    shown[order[np.cumsum(energy[order]) <= CONFIG.faint * energy.sum()]] = False
     codes = shown[leaves.of_codes] & (leaves.of_codes >= 0)
     keep = np.zeros(len(said[0].y), dtype=bool)
     keep[: leaves.chips] = np.repeat(codes, leaves.chips // len(codes))
@@ -213,7 +209,7 @@ def _members(partition: Partition) -> list[tuple[int, Int64]]:
 def _described(number: int, rows: Int64, means: Float64, piece: FoundPiece) -> Json:
     regions = piece.regions
     middle = means[rows].mean(axis=0) if len(rows) else np.zeros(3)
-    radius = float(np.quantile(np.linalg.norm(means[rows] - middle, axis=1), WIDE)) if len(rows) else 0.0
+    radius = float(np.quantile(np.linalg.norm(means[rows] - middle, axis=1), CONFIG.wide)) if len(rows) else 0.0
     return {
         "region": number,
         "state": State(int(regions.state[number])).name.lower(),

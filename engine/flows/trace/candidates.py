@@ -1,10 +1,10 @@
 """Of many records, whose mark is in this suspect? Copies of one asset share a reading.
 
-1. Records are asked one asset after the other, in the order in which they come; all count as tries.
+1. Records are tested one asset after the other, in the order in which they come; all count as tries.
 2. A record by itself is verified. Of several copies each is judged along the cheapest route, then, where none is
    marked, along the next one.
-3. Who is read as another copy is told less by pictures: copies that stand out are verified by themselves.
-4. The answer that tells most stands first.
+3. Pictures say less of a copy that is read as another one: copies that stand out are verified by themselves.
+4. The answer that says most stands first.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Generic, Protocol, TypeVar
 from engine.errors import RecordError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.config import CONFIG
 from engine.flows.trace.copies import Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Answer, Suspect, Verification, count_tries, verify
@@ -24,9 +25,6 @@ from engine.numerics.blas import one_blas_thread
 from engine.watermark.claim import Claim, Verdict
 
 __all__ = ["Candidate", "Outcome", "Search", "search"]
-
-STANDS_OUT = 2.5
-"""Z of a copy, read as another one, that is verified by itself; of copies that took no part one in 160 is."""
 
 
 class Candidate(Protocol):
@@ -61,17 +59,17 @@ class Outcome(Generic[C]):
 
     @property
     def named(self) -> bool:
-        """Whether it is this copy, as far as copies of its kind are told apart by themselves."""
+        """Whether it is this copy, as far as copies of its kind differ by themselves."""
         return self.marked and self.claim is not None and self.claim.copy_named is not False
 
     @property
     def z(self) -> float:
-        """How loudly the suspect speaks for it; 0 where it could not be asked."""
+        """How loudly the suspect speaks for it; 0 where it could not be tested."""
         return 0.0 if self.claim is None else self.claim.z
 
     @property
     def worth(self) -> tuple[float, ...]:
-        """Greater tells more: marked, then derived, then undecided, then not read in full, then not to be opened."""
+        """Greater says more: marked, then derived, then undecided, then not read in full, then not to be opened."""
         if (claim := self.claim) is None:
             return (0.0,)
         if not self.whole:
@@ -87,7 +85,7 @@ class Outcome(Generic[C]):
 
 @dataclass(frozen=True, eq=False)
 class Search(Generic[C]):
-    """All that was asked: one outcome for each candidate looked at, in that order, and the tries of the whole."""
+    """All that was tested: one outcome for each candidate looked at, in that order, and the tries of the whole."""
 
     outcomes: tuple[Outcome[C], ...]
     tries: int
@@ -95,7 +93,7 @@ class Search(Generic[C]):
 
     @property
     def best(self) -> Outcome[C] | None:
-        """The outcome that tells most, the first among equals; None where nobody was asked."""
+        """The outcome that says most, the first among equals; None where there is none."""
         return max(self.outcomes, key=lambda outcome: outcome.worth, default=None)
 
 
@@ -103,26 +101,26 @@ class Search(Generic[C]):
 def search(
     suspect: Suspect, candidates: Sequence[C], config: VerifyConfig, progress: Progress, *, stop_at_first: bool = False
 ) -> Search[C]:
-    """Ask one candidate after the other; with `stop_at_first` none after the first copy that is named."""
+    """Test one candidate after the other; with `stop_at_first` none after the first copy that is named."""
     tries = count_tries(len(candidates), suspect.routes(config.route), config)
-    asked = _Asked(suspect, replace(config, tries=max(1, tries)), progress, len(candidates), stop_at_first)
+    tests = _Tests(suspect, replace(config, tries=max(1, tries)), progress, len(candidates), stop_at_first)
     outcomes: list[Outcome[C]] = []
     for _, copies in groupby(candidates, lambda each: each.original):
-        outcomes = _with_best(outcomes + asked.about(list(copies)))
+        outcomes = _with_best(outcomes + tests.about(list(copies)))
         if stop_at_first and any(each.named for each in outcomes):
             break
-    return Search(tuple(outcomes), tries, asked.seconds)
+    return Search(tuple(outcomes), tries, tests.seconds)
 
 
 def _with_best(outcomes: Sequence[Outcome[C]]) -> list[Outcome[C]]:
-    """The same, with what the best one alone keeps."""
+    """The outcomes, of which the best alone keeps its record and what was found."""
     best = max(outcomes, key=lambda each: each.worth)
     keep = [each is best or each.opened is None for each in outcomes]
     return [each if kept else replace(each, opened=None, found=None) for each, kept in zip(outcomes, keep, strict=True)]
 
 
-class _Asked:
-    """What is asked of one asset after the other."""
+class _Tests:
+    """Tests of one asset after the other."""
 
     def __init__(
         self, suspect: Suspect, config: VerifyConfig, progress: Progress, count: int, stop_at_first: bool
@@ -139,7 +137,7 @@ class _Asked:
     def about(self, copies: Sequence[C]) -> list[Outcome[C]]:
         """One outcome for each copy of an asset; with `stop_at_first` none behind the first whose mark is there."""
         outcomes = self._together(copies) if len(copies) > 1 else [self._alone(copies[0])]
-        loud = [number for number, each in enumerate(outcomes) if not each.whole and each.z >= STANDS_OUT]
+        loud = [number for number, each in enumerate(outcomes) if not each.whole and each.z >= CONFIG.stands_out]
         for number in sorted(loud, key=lambda number: -outcomes[number].z):
             outcomes[number] = self._alone(copies[number])
             if self._stop_at_first and outcomes[number].named:

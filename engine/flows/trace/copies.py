@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.config import CONFIG
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Reading, Suspect, readings, time_budget
 from engine.flows.verify.suspect_evidence import compare_tint, read_grain, read_tint
@@ -19,9 +20,6 @@ from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual
 
 __all__ = ["Copies", "asset_of"]
-
-MOST_GRAINS = 4
-"""Readings of the grain that are kept: copies have it in one of a few strengths, and each takes 24 bytes a chip."""
 
 
 def asset_of(opened: OpenedRecord) -> tuple[str, bool, bytes]:
@@ -59,26 +57,26 @@ class Copies:
     def evidence(self, opened: OpenedRecord) -> Evidence:
         """What the suspect says of the chips of one copy, along all routes so far.
 
-        Of Gaussians that is all that reading this copy alone would say; pictures tell nothing of what to expect, and
+        Of Gaussians that is all that reading this copy alone would say; pictures say nothing of what to expect, and
         the grain counts in them as it does for the copy that they were read as.
         """
         reading = self.reading
         pictures = gather_again(opened.layout, reading.evidence.pulled)
-        if reading.pictures is not None:  # copies have other cells, and the same Gaussians
+        if reading.pictures is not None:  # copies have other cells, and their Gaussians in common
             pictures = pictures.then(reading.pictures.behind(self._tint))
         if reading.route in ("image", "render"):
             return pictures
         assert self._suspect.model is not None
         assert reading.registration is not None
-        asked = self._suspect.model, opened, reading.registration
+        read = self._suspect.model, opened, reading.registration
         width = opened.layout.width
         if width not in self._compared:
-            self._compared = {width: compare_tint(*asked)}
-        model = read_tint(*asked, self._compared[width])
+            self._compared = {width: compare_tint(*read)}
+        model = read_tint(*read, self._compared[width])
         if opened.grain.there:
             if opened.grain not in self._grain:
-                if len(self._grain) == MOST_GRAINS:
+                if len(self._grain) == CONFIG.most_grains:
                     self._grain.clear()
-                self._grain[opened.grain] = read_grain(*asked)
+                self._grain[opened.grain] = read_grain(*read)
             model = model.then(self._grain[opened.grain])
         return model.plus(pictures) if reading.route == "both" else model

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.config import CONFIG
 from engine.flows.trace.copies import Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig, read_copy, strength_left
 from engine.flows.verify.search import Suspect, count_tries
@@ -24,8 +25,6 @@ from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
 
-DAMPED = 0.75
-"""Share of the owner's layer's strength below which a copy's own was damped by others."""
 SIGNS = 2
 """A copy's mark may show turned round."""
 
@@ -36,7 +35,7 @@ class CopyFinding:
 
     copy: str  # name of the recipient
     record_id: str
-    named: bool  # the copy took part: its false-claim bound, all tries counted, is at most the rate asked for
+    named: bool  # the copy took part: its false-claim bound, all tries counted, is at most the wanted rate
     # 0 expected with a standard deviation of 1 for a copy that took no part; negative where copies were put together
     # so that what they differ in is turned round
     z: float
@@ -102,7 +101,7 @@ def trace(
     InputError if there is no record, one is given twice, the suspect is empty, or the route takes another kind of
     suspect. Records that can be gone through again, a list or an object that opens files, are opened once for each
     route, and one of each asset is kept in memory. Route "auto" reads a model's Gaussians, and looks at renders of the
-    pose key, too, where they name nobody.
+    pose key, too, where they name no copy.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)
@@ -111,7 +110,7 @@ def trace(
     assets: dict[tuple[str, bool, bytes], Copies] = {}
     copies: dict[tuple[str, bool, bytes], list[str]] = {}
     firsts: dict[tuple[str, bool, bytes], OpenedRecord] = {}
-    settled: set[tuple[str, bool, bytes]] = set()  # some copy was named: no further route is asked
+    settled: set[tuple[str, bool, bytes]] = set()  # some copy was named: no further route is read
     found: dict[str, CopyFinding] = {}
     tries = 0
     for number in range(len(routes)):
@@ -145,7 +144,7 @@ def trace(
 
 
 def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRecord]:
-    """The records one by one, the time to open them told apart."""
+    """The records one by one, the time to open them as a stage of its own."""
     left = iter(records)
     while True:
         with clock.stage("open records"):
@@ -158,7 +157,7 @@ def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRec
 def _judge(asset: Copies, opened: OpenedRecord) -> CopyFinding:
     reading = asset.reading
     copy = read_copy(reading, opened, either_way=True)
-    if copy is None:  # its mark is its own, or nobody's but the owner's
+    if copy is None:  # its mark is its own, or the owner's alone
         evidence = asset.evidence(opened)
         spreading = opened.spreading_of(len(evidence.y))
         signs, sized = spreading.signs(opened.message), evidence.sized(spreading.sizes)
@@ -178,7 +177,7 @@ def _combined(asset: Copies, opened: OpenedRecord, findings: Sequence[CopyFindin
         evidence = asset.reading.evidence
         spreading = opened.spreading_of(len(evidence.y))
         owner = strength_left(evidence.sized(spreading.sizes), spreading.signs(opened.message))
-        if owner > 0 and named[0].strength < DAMPED * owner:
+        if owner > 0 and named[0].strength < CONFIG.damped * owner:
             yield "at least two copies were combined: what tells this copy from others is damped"
 
 

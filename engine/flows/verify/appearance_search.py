@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from engine.flows.verify.config import CONFIG
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
@@ -29,20 +30,9 @@ from engine.raster import render_depth
 
 __all__ = ["Place", "Sighting", "place_by_looking"]
 
-VIEW_SIZE = (640, 480)
-"""As the landmarks were made."""
+_CONFIG = CONFIG.appearance
 RECOGNITION = CameraConfig(other_focals=(), framed=False, uneven=False)
 """The focal length of a render is known, so no other is tried, and nothing is around it."""
-VIEWS = 6
-"""Views with one side up; then the model is turned over and looked at again."""
-ENOUGH, FAIR = 6, 3
-"""Sightings that agree with each other after which no further view is rendered, or no further side turned up."""
-LEAST = 2
-"""Sightings that must agree for the place to be known."""
-MOST_ZOOMED = 0.1
-"""Difference of the found and the true focal length, as a share, beyond which a sighting is wrong."""
-SAME_TURN, SAME_PLACE = np.radians(3.0), 0.05
-"""How far sightings of one place lie apart: radians, and parts of the distance to what they show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +92,14 @@ def place_by_looking(
     landmarks : Landmarks
         Of the reference, from its record.
     advance : callable, optional
-        Told the fraction done, 0 to 1, after every view.
+        Called with the fraction done, 0 to 1, after every view.
     budget : TimeBudget, optional
         Ends the search between two views.
     """
     seen: list[Sighting] = []
     agreeing: list[Sighting] = []
     turns = _turns()
-    total, count = VIEWS * len(turns), 0
+    total, count = _CONFIG.views * len(turns), 0
     for camera in _views(suspect, turns):
         if not budget.allows("further views to place the model by"):
             break
@@ -120,12 +110,12 @@ def place_by_looking(
         if sighting is not None:
             seen.append(sighting)
             agreeing = _most_agreeing(seen)
-        if len(agreeing) >= (FAIR if count % VIEWS == 0 else ENOUGH):
+        if len(agreeing) >= (_CONFIG.fair if count % _CONFIG.views == 0 else _CONFIG.enough):
             break
         # A scene that shows nothing familiar with its own side up or down is another scene.
-        if count == 3 * VIEWS and not seen:
+        if count == 3 * _CONFIG.views and not seen:
             break
-    if len(agreeing) < LEAST:
+    if len(agreeing) < _CONFIG.least:
         return None
     return Place(_solve(agreeing), tuple(agreeing), count)
 
@@ -140,7 +130,7 @@ def _views(suspect: GaussianModel, turns: list[Float64]) -> Iterator[Camera]:
     """Views all around, one turn of the model after the other, in the suspect's own frame."""
     for R in turns:
         turned = transform_model(suspect.with_(sh=suspect.sh[:, :1]), 1.0, R, np.zeros(3))
-        for camera in make_rig(turned, VIEWS, *VIEW_SIZE, extent=measure_extent(turned)):
+        for camera in make_rig(turned, _CONFIG.views, *_CONFIG.view_size, extent=measure_extent(turned)):
             viewmat = camera.viewmat.copy()
             viewmat[:3, :3] = viewmat[:3, :3] @ R
             yield Camera(viewmat, camera.K, camera.width, camera.height)
@@ -151,7 +141,7 @@ def _look(suspect: GaussianModel, camera: Camera, reference: GaussianModel, land
     picture = np.clip(image, 0.0, 1.0)
     recognition = replace(RECOGNITION, focals=(camera.K[0, 0] / camera.width,))
     found = find_camera(landmarks, reference, picture, recognition)
-    if found is None or abs(np.log(found.camera.K[0, 0] / camera.K[0, 0])) > MOST_ZOOMED:
+    if found is None or abs(np.log(found.camera.K[0, 0] / camera.K[0, 0])) > _CONFIG.most_zoomed:
         return None
     if found.mirrored:
         camera, picture = mirrored_camera(camera), found.face(picture)
@@ -187,7 +177,7 @@ def _most_agreeing(seen: list[Sighting]) -> list[Sighting]:
 def _agrees(fit: Similarity, sighting: Sighting) -> bool:
     turn = scipy.spatial.transform.Rotation.from_matrix(sighting.similarity.R @ fit.R.T).as_rotvec()
     gap = np.linalg.norm(fit.apply(sighting.own.position) - sighting.found.position)
-    return bool(np.linalg.norm(turn) < SAME_TURN and gap < SAME_PLACE * sighting.found_depth)
+    return bool(np.linalg.norm(turn) < _CONFIG.same_turn and gap < _CONFIG.same_place * sighting.found_depth)
 
 
 def _solve(sightings: list[Sighting]) -> Similarity:

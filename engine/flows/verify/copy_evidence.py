@@ -1,6 +1,6 @@
-"""What a suspect says of the copy layer: the same for all copies of an asset, and blind to the chips of each.
+"""What a suspect says of the copy layer: one reading for all copies of an asset, blind to the chips of each.
 
-The owner's layer is known to whoever traces, and taken off first: signs of one layer are fair whatever the other's are.
+The owner's layer is known to the reader, and taken off first: signs of one layer are fair whatever the other's are.
 """
 
 from __future__ import annotations

@@ -26,18 +26,18 @@ ROUTES = ("auto", "model", "render", "image")
 
 @dataclass(frozen=True)
 class VerifyConfig:
-    """What a verification can be told."""
+    """The options of a verification."""
 
     # Largest acceptable probability of a false claim; counts only where it is stricter than what applies to the record
     # (`rates.applicable_rate`)
     false_claim_rate: float = CHANCE_RATE
-    suspect_seen: str = ""  # since when the suspect is known, ISO 8601; empty where nobody knows
+    suspect_seen: str = ""  # since when the suspect is known, ISO 8601; empty where unknown
     suspect_existed: str = ""  # by when it is shown to have existed, ISO 8601; empty where that is not shown
     route: str = "auto"  # "auto", "model", "render" or "image"
     decoder: str = "ours"  # "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours
     seed: int = 0  # of the registration's trials
     # Wall-clock seconds of one record's search in a model, or, of pictures, for each of them: what would begin later is
-    # left out, and told; nothing else depends on the time. Infinity: no limit. Two cores need 15 s in hard cases.
+    # left out, and named; nothing else depends on the time. Infinity: no limit. Two cores need 15 s in hard cases.
     time_budget: float = 60.0
     # Hypotheses (records times routes) of the whole question, where this verification is one part of it: fixed before
     # any evidence is seen, and counted in every claim. Default: those of this one record, as they come.
@@ -70,7 +70,7 @@ class Reading:
     registration: Registration | None = None  # of a model
     notes: tuple[str, ...] = ()  # for the reader of the claim
     shown: bool = False  # whether the asset was found in the suspect
-    derivation: Derivation = NOT_FOUND  # the same, with how much of it and where
+    derivation: Derivation = NOT_FOUND  # whether, how much of it and where
     pictures: Evidence | None = None  # what pictures of it alone say
     scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
     cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
@@ -84,7 +84,7 @@ class Reading:
 
 
 def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: int = 1) -> Claim:
-    """The claim that a reading supports: its evidence, or the same suspect read in another way, where that says more.
+    """The claim that a reading supports: its evidence, or the suspect read in another way, where that says more.
 
     All of it must be counted in `tries`, or in those of the configuration.
     """
@@ -95,7 +95,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     evidence = reading.evidence.sized(spreading.sizes)
     signs = spreading.signs(opened.message)
     layered = layered_z(evidence, signs, tint)
-    asked, layers = only(evidence, layered.strongest, tint), dict(layered.z)
+    chosen, layers = only(evidence, layered.strongest, tint), dict(layered.z)
     sums = {name: moments(*evidence.part(part)) for name, part in _layers(evidence, tint).items()}
     known: Moments | None = (
         reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
@@ -105,7 +105,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         other = layered_z(way, signs, tint)
         layers |= {layer + name: z for layer, z in other.z.items()}
         if other.best > loudest:
-            loudest, asked, known = other.best, only(way, other.strongest, tint), None
+            loudest, chosen, known = other.best, only(way, other.strongest, tint), None
     whole = evidence.unsaturated() or evidence
     circumstances = Circumstances(
         tries=tries,
@@ -120,7 +120,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         sums=known,
         copy_z=None if (copy := read_copy(reading, opened)) is None else copy.z,
     )
-    claim = decide(asked, spreading, opened.message, circumstances, rate)
+    claim = decide(chosen, spreading, opened.message, circumstances, rate)
     if reading.left_out and claim.verdict is Verdict.NOT_MARKED:  # what was not read may hold it
         claim = replace(claim, verdict=Verdict.INCONCLUSIVE, missing=OUT_OF_TIME)
     return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim

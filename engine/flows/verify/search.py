@@ -3,16 +3,16 @@
 Routes: `model` (the suspect's Gaussians against the reference's), `render` (the suspect model seen at the pose key
 as a black box), `image` (pictures whose camera is known, or found). One decoder reads all evidence.
 
-1. What is asked is fixed, and counted: every record along every route at every place is three tries, walked or not:
+1. What is tested is fixed, and counted: every record along every route at every place is three tries, walked or not:
    tint and grain together and each alone. Of pictures and of Gaussians it is six: they are read in two ways.
-2. Of many records only those are asked whose asset the suspect resembles (`engine.catalogue`, blind to chips).
+2. Of many records only those are tested whose asset the suspect resembles (`engine.catalogue`, blind to chips).
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
 4. What a route says is added to what those before it said, never chosen over it.
-5. Every reading is judged with all tries counted; the answer that tells most stands first.
+5. Every reading is judged with all tries counted; the answer that says most stands first.
 6. The time is limited (`VerifyConfig.time_budget`): it decides whether a whole further step is taken, never what a step
    gives. What was read by then is judged, is never "not marked", and names the budget.
 
-Verification asks one record (`verify`), tracing all copies of an asset (`copies`), the service all that is registered
+Verification tests one record (`verify`), tracing all copies of an asset (`copies`), the service all that is registered
 (`trace.candidates`), the simulator every object of a file (`count_tries`).
 """
 
@@ -73,20 +73,20 @@ class Suspect:
     # One for each picture, where known; found from a record's landmarks otherwise
     cameras: Sequence[Camera] | None = None
 
-    def routes(self, asked: str) -> tuple[str, ...]:
+    def routes(self, wanted: str) -> tuple[str, ...]:
         """The routes along which it is read, in their order.
 
         InputError if the route takes the other kind of suspect, or the model is empty.
         """
         if self.model is None:
-            if asked not in ("auto", "image"):
-                raise InputError(f"route {asked!r} takes a model; pictures go by 'image' or 'auto'")
+            if wanted not in ("auto", "image"):
+                raise InputError(f"route {wanted!r} takes a model; pictures go by 'image' or 'auto'")
             return ("image",)
-        if asked == "image":
+        if wanted == "image":
             raise InputError("route 'image' takes pictures; a model goes by 'model', 'render' or 'auto'")
         if len(self.model) == 0:
             raise InputError("the suspect model is empty")
-        return ("model", "render") if asked == "auto" else (asked,)
+        return ("model", "render") if wanted == "auto" else (wanted,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, place
     """Hypotheses of a question, fixed before any evidence is seen.
 
     A try is a Z that may be computed: all count from the first on, or the rates of the routes would add up beyond the
-    one asked for. A registration's own hypotheses were weighed without the chips and are none.
+    wanted one. A registration's own hypotheses were weighed without the chips and are none.
     """
     ways = sum(WAYS.get(route, 1) for route in routes)
     return max(records * ways * len(LAYERS) * places, config.tries or 1)
@@ -186,11 +186,11 @@ def _readings(
                 both = said is not None and bool(renders.evidence.weights.any())
                 evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
                 sight = derivation_of_sight(matched, renders.recognised)
-                asked = "both" if both else route
+                along = "both" if both else route
                 said_all = evidence, registration, (*left_out, *renders.notes), renders.shown, sight
                 shown = copy_of_pictures(opened, renders.evidence)
                 copied = copied.plus(shown) if both and copied is not None and shown is not None else shown
-                reading = Reading(asked, *said_all, renders.evidence, copied=copied)
+                reading = Reading(along, *said_all, renders.evidence, copied=copied)
         yield reading
 
 

@@ -14,6 +14,7 @@ from engine.flows.embed.landmark_bank import bank_views
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
+from engine.flows.verify.config import CONFIG
 from engine.flows.verify.copy_evidence import copy_of_gaussians
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
@@ -54,7 +55,6 @@ from engine.watermark.picture_agreement import Together
 from engine.watermark.spreading import public_signs
 
 __all__ = [
-    "DERIVED_LEAST",
     "ReadPicture",
     "ReferenceView",
     "ReferenceViews",
@@ -75,6 +75,7 @@ __all__ = [
     "seen_shift",
 ]
 
+_CONFIG = CONFIG.evidence
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
 """How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
 
@@ -146,12 +147,6 @@ def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
     coefficients = tint.reshape(len(tint), -1, 3)
     basis = sh_basis(directions, math.isqrt(coefficients.shape[1]) - 1)
     return np.asarray(np.einsum("nk,nkc->nc", basis, coefficients), dtype=np.float32)
-
-
-CARRIED = 2
-"""Times that a camera is carried to a picture: the first render there shows what alignment over the other missed."""
-SOFT = (0.35, 0.45, 0.55)
-"""Blurs, pixels, that turning or shrinking a picture may have left in it: bilinear turns come to 0.45."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +239,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
     best, most = laid, 0.0
     for start in near_motions(motion, laid.view.plain.shape[:2]):
         camera, matrix = laid.view.view.camera, start
-        for _ in range(CARRIED):
+        for _ in range(_CONFIG.carried):
             there = carried(camera, matrix, width, height)
             if there is None:
                 break
@@ -259,7 +254,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
             agreed = _agreement(own, image, grid)
             if agreed > most:
                 best, most = own, agreed
-    softer = [replace(best, view=best.view.softened(blur)) for blur in SOFT] if best is not laid else []
+    softer = [replace(best, view=best.view.softened(blur)) for blur in _CONFIG.soft] if best is not laid else []
     return max([best, *softer], key=lambda own: _agreement(own, image, grid)) if softer else best
 
 
@@ -268,12 +263,6 @@ def _agreement(own: _Laid, image: Float32, grid: JpegGrid) -> float:
     mask = own.alignment.mask
     exposed = np.clip(match_exposure(own.view.plain, image - through, mask) + through, 0.0, 1.0)
     return agreement(grid.part(exposed), grid.part(image), grid.part(mask), grid.quality)
-
-
-DERIVED_LEAST = 0.02
-"""Share of the reference to be found before a suspect is called derived from it."""
-SAMPLE = 50_000
-"""Matched Gaussians of which the exactness is measured."""
 
 
 def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, registration: Registration) -> Derivation:
@@ -288,18 +277,18 @@ def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, regist
     low, high = np.quantile(reference.means[seen].astype(np.float64), [0.01, 0.99], axis=0)
     exactness = None
     if len(rows) and not registration.deformed:
-        part = slice(None, None, max(1, len(rows) // SAMPLE))
+        part = slice(None, None, max(1, len(rows) // _CONFIG.sample))
         placed = registration.similarity.apply(suspect.means[rows[part]].astype(np.float64))
         gaps = np.linalg.norm(placed - reference.means[matched[part]], axis=1)
         sizes = np.exp(reference.log_scales[matched[part]].mean(axis=1, dtype=np.float64))
         exactness = float(np.median(gaps / sizes))
     share = registration.derived_fraction
     where = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
-    return Derivation(share >= DERIVED_LEAST, share, recognised, exactness, where)
+    return Derivation(share >= _CONFIG.derived_least, share, recognised, exactness, where)
 
 
 def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
-    """What renders of a suspect model say, beside its Gaussians: views recognised by themselves, or nothing."""
+    """What renders of a suspect model say, in addition to its Gaussians: views recognised by themselves, or nothing."""
     if of_model.derived or not recognised:
         return of_model
     return Derivation(True, of_model.share or None, of_model.gaussians)
@@ -308,23 +297,14 @@ def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
 def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation:
     """What pictures say of which so many show the asset; `found`: their cameras were found, by recognising it.
 
-    Where somebody gave the cameras, a picture of anything that is bright in the same places can be laid over a view.
+    Where the cameras were given, a picture of anything that is bright in the same places can be laid over a view.
     """
     return Derivation(shown > 0, views=(shown, pictures)) if found else NOT_FOUND
 
 
-RENDER_SIZE = 512
-"""Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
-enough, and soon."""
-LIKE_MASS = 0.5
-"""Share of the heaviest mass from which a duplicate counts in full: noise and halves of one differ so much."""
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
 SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
-REFINEMENTS, REFINED = 12, 0.005
-"""Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
-EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
-"""Views in which a picture without keypoints is sought, and their shape."""
 LEFT_OUT = "left out: picture {} shows the asset, but not the mark that the other pictures agree on"
 
 
@@ -366,8 +346,8 @@ def read_tint(
 
 
 def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Residual:
-    """How far the suspect's colours lie from the reference's: the same for copies with carriers of the same width."""
-    seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC is the same from everywhere
+    """How far the suspect's colours lie from the reference's: copies with carriers of one width share it."""
+    seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC does not depend on the direction
     reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
     width = min(opened.layout.width, colors.shape[1])
     mixtures = registration.mixtures
@@ -386,12 +366,12 @@ def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
         heaviest = np.zeros(int(target.max()) + 1)
         np.maximum.at(heaviest, target, mass)
         share = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
-        weights[rows] = np.where(share >= LIKE_MASS, 1.0, share)
+        weights[rows] = np.where(share >= _CONFIG.like_mass, 1.0, share)
     return weights
 
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """What the suspect's centres and sizes say: the same for all copies of an asset."""
+    """What the suspect's centres and sizes say, for all copies of an asset."""
     seen = mirror_model(suspect) if registration.mirrored else suspect
     pairs = registration.matches, registration.match_quality * duplicate_weights(suspect, registration.matches)
     return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
@@ -418,7 +398,7 @@ def read_renders(
         return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock, budget), opened), (), True)
     if registration.mirrored:
         suspect = mirror_model(suspect)
-    cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
+    cameras = [camera.with_side(_CONFIG.render_size) for camera in opened.cameras]
     said: PictureEvidence | None = None
     notes = []
     moved, reference = suspect, ReferenceViews(opened)
@@ -440,7 +420,7 @@ def read_renders(
         if said is not None and not budget.allows(KEY_VIEWS):
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
-        refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
+        refined = refine_level(opened.reference, luma(picture), camera, _CONFIG.refinements, _CONFIG.refined)
         if refined is not None and refined.alike:
             read = read_known(picture, refined.camera, reference)
             said = _added(said, None if read is None else read.evidence)
@@ -453,7 +433,7 @@ def _read_placed(
 ) -> PictureEvidence | None:
     """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
     said, reference = None, ReferenceViews(opened)
-    for number, camera in enumerate(camera.with_side(RENDER_SIZE) for camera in opened.cameras):
+    for number, camera in enumerate(camera.with_side(_CONFIG.render_size) for camera in opened.cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
@@ -470,7 +450,7 @@ def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> Pictur
 def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> bool:
     """Whether the suspect looks like the reference where it stands: a copy trained anew was hardly ever moved."""
     picture = np.clip(render(suspect, camera), 0.0, 1.0)
-    refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
+    refined = refine_level(opened.reference, luma(picture), camera, _CONFIG.refinements, _CONFIG.refined)
     return refined is not None and refined.alike
 
 
@@ -497,7 +477,7 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, EDGE_VIEWS, *EDGE_SIZE)))
+    far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, _CONFIG.edge_views, *_CONFIG.edge_size)))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):

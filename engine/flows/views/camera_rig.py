@@ -8,31 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.flows.views.config import CONFIG
 from engine.model import Camera, Float64, GaussianModel, look_at
 
+_CONFIG = CONFIG.rig
 UP = np.array([0.0, -1.0, 0.0])
 """Captures are written with y pointing down (COLMAP, INRIA); only the roll of a generated view depends on it."""
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 """Successive azimuths of a rig: any prefix of the rig covers the circle evenly."""
-
-FIELD_OF_VIEW = 0.85
-"""Horizontal field of view of generated views, radians (about 49 degrees: a phone's main lens)."""
-
-LANDMARK_SIZE = (640, 480)
-"""Pixels of a view of the landmark bank."""
-
-FLAT = 0.2
-"""Ground is lower than this share of how wide it is."""
-LOWEST, LOWEST_OF_GROUND, HIGHEST = 8.0, 25.0, 55.0
-"""Elevations of a rig's views, degrees: from below 25 ground shows next to nothing."""
-
-OF_GROUND = 0.5
-"""Views of ground, in those as close to each other around what stands upright: of 30 pictures of a city 60 keypoints or
-more agree with the right camera with 14 views as with 28."""
-
-ROOM_EMPTINESS = 0.03
-"""A model is a room when less than this share of its visible area lies within 45 % of its radius."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +31,16 @@ class Extent:
     @property
     def lowest(self) -> float:
         """Elevation from which the lowest views look down, degrees."""
-        return LOWEST if self.axes[1] > FLAT * max(self.axes[0], self.axes[2]) else LOWEST_OF_GROUND
+        upright = self.axes[1] > _CONFIG.flat * max(self.axes[0], self.axes[2])
+        return _CONFIG.lowest if upright else _CONFIG.lowest_of_ground
 
     def fewer(self, views: int) -> int:
         """How many views do where so many are taken around what stands upright: ground is looked at from above alone,
         and half as densely."""
-        if self.is_room or self.lowest == LOWEST:
+        if self.is_room or self.lowest == _CONFIG.lowest:
             return views
-        least, lowest, highest = np.sin(np.radians([LOWEST, self.lowest, HIGHEST]))
-        return int(np.ceil(OF_GROUND * views * (highest - lowest) / (highest - least)))
+        least, lowest, highest = np.sin(np.radians([_CONFIG.lowest, self.lowest, _CONFIG.highest]))
+        return int(np.ceil(_CONFIG.of_ground * views * (highest - lowest) / (highest - least)))
 
 
 def _weighted_quantile(values: Float64, weights: Float64, q: float) -> float:
@@ -79,7 +64,7 @@ def measure_extent(model: GaussianModel) -> Extent:
     distance = np.linalg.norm(means - center, axis=1)
     radius = max(_weighted_quantile(distance, weights, 0.9), 1e-6)
     inside = float(weights[distance < 0.45 * radius].sum() / weights.sum())
-    return Extent(center, radius, np.maximum(high - low, 1e-9), len(model) > 100 and inside < ROOM_EMPTINESS)
+    return Extent(center, radius, np.maximum(high - low, 1e-9), len(model) > 100 and inside < _CONFIG.room_emptiness)
 
 
 def make_rig(
@@ -107,7 +92,7 @@ def make_rig(
     """
     extent = extent or measure_extent(model)
     u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)
-    focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+    focal = width / (2.0 * np.tan(_CONFIG.field_of_view / 2.0))
     azimuth = GOLDEN_ANGLE * np.arange(count) + 2 * np.pi * (u[:, 0] - 0.5) / max(count, 1)
     cameras = []
     for k in range(count):
@@ -118,8 +103,8 @@ def make_rig(
             eye = extent.center - 0.25 * extent.radius * toward * (0.5 + u[k, 2])
             target = extent.center + extent.radius * toward
         else:
-            elevation = np.radians(extent.lowest + (HIGHEST - extent.lowest) * shell)
-            fit = 1.06 * extent.radius / np.sin(FIELD_OF_VIEW / 2.0)
+            elevation = np.radians(extent.lowest + (_CONFIG.highest - extent.lowest) * shell)
+            fit = 1.06 * extent.radius / np.sin(_CONFIG.field_of_view / 2.0)
             eye = extent.center + direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
             target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * direction(azimuth[k] + 1.0, 0.0)
         cameras.append(look_at(eye, target, UP, focal, width, height))

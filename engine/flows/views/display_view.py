@@ -4,26 +4,13 @@ import numpy as np
 from PIL import Image
 
 from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.config import CONFIG
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.pictures.alignment.background import find_background
 from engine.pictures.alignment.planar import Alignment, align_image
 from engine.raster import render
 
-_TRIAL_VIEWS = 6
-_TRIAL_SIZE = 72
-_TRIAL_GAUSSIANS = 40_000
-WHOLE, MARGIN = 0.998, 0.92
-"""Share of a model's visible centers that a view of it shows, within so much of the picture's half sides."""
-WIDEST = 0.6
-"""Least focal length in that of the rig: what lies farther out than this shows is far from the model."""
-BEHIND = 0.1
-"""A camera with a larger share of a model behind it stands in a room."""
-FAINT = -2.0
-"""Opacity logit below which a Gaussian's place counts for nothing."""
-SAME_SHAPE = 0.02
-"""Ratios of sides that differ by less are of one picture, made smaller."""
-SURE_CORRELATION = 0.95
-"""Above it, a picture lies the right way round."""
+_CONFIG = CONFIG.display
 
 
 def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
@@ -32,13 +19,13 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
     Tried on a thinned-out model in tiny pictures: what counts is how much of the picture is filled, and how much
     there is to see in it.
     """
-    thin = model.take(np.arange(0, len(model), max(1, len(model) // _TRIAL_GAUSSIANS)))
+    thin = model.take(np.arange(0, len(model), max(1, len(model) // _CONFIG.trial_gaussians)))
     # The gaps that thinning leaves are filled.
     wider = 0.5 * np.log(len(model) / len(thin))
     thin = thin.with_(log_scales=thin.log_scales + np.float32(wider))
     short = min(width, height)  # a rig fits the model to the width of its pictures
-    rig = [_reshaped(camera, width, height) for camera in make_rig(thin, _TRIAL_VIEWS, short, short)]
-    shrink = _TRIAL_SIZE / max(width, height)
+    rig = [_reshaped(camera, width, height) for camera in make_rig(thin, _CONFIG.trial_views, short, short)]
+    shrink = _CONFIG.trial_size / max(width, height)
     scores = []
     for camera in rig:
         small = camera.resized(max(1, round(width * shrink)), max(1, round(height * shrink)))
@@ -50,13 +37,14 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
 
 def _whole(model: GaussianModel, camera: Camera) -> Camera:
     """The camera with a focal length at which it shows all of an object; of a room it is left as it is."""
-    seen = model.means[model.opacity_logits > FAINT].astype(np.float64)
+    seen = model.means[model.opacity_logits > _CONFIG.faint].astype(np.float64)
     x, y, z = (seen @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
-    if not len(z) or (z <= 0).mean() > BEHIND:
+    if not len(z) or (z <= 0).mean() > _CONFIG.behind:
         return camera
     x, y, z = x[z > 0], y[z > 0], z[z > 0]
     across = np.maximum(camera.K[0, 0] * abs(x) / camera.width, camera.K[1, 1] * abs(y) / camera.height) / z
-    return widened(camera, max(WIDEST, min(1.0, 0.5 * MARGIN / float(np.quantile(across, WHOLE)))))
+    fitting = 0.5 * _CONFIG.margin / float(np.quantile(across, _CONFIG.whole))
+    return widened(camera, max(_CONFIG.widest, min(1.0, fitting)))
 
 
 def widened(camera: Camera, factor: float) -> Camera:
@@ -77,7 +65,7 @@ def lay_over(picture: Float32, image: Float32, alpha: Float32) -> tuple[Float32,
     compared; None where it cannot be laid over it."""
     height, width = alpha.shape
     small = to_picture(picture)
-    if abs(width / height - small.width / small.height) < SAME_SHAPE:
+    if abs(width / height - small.width / small.height) < _CONFIG.same_shape:
         small = small.resize((width, height), reducing_gap=2.0)
     best: Alignment | None = None
     for hand in (1, -1):  # as it is, and turned over left to right
@@ -86,7 +74,7 @@ def lay_over(picture: Float32, image: Float32, alpha: Float32) -> tuple[Float32,
         fit = align_image(image, faced if behind is None else faced - behind.through)
         if fit is not None and (best is None or fit.correlation > best.correlation):
             best = fit
-        if best is not None and best.correlation > SURE_CORRELATION:
+        if best is not None and best.correlation > _CONFIG.sure_correlation:
             break
     return None if best is None else (best.warped, best.mask)
 

@@ -1,6 +1,6 @@
 """Models that would take the rasterizer hours are refused before it begins.
 
-What drawing costs is told by the pairs of tile and Gaussian: a hundred thousand Gaussians that each cover the whole
+The cost of drawing follows from the pairs of tile and Gaussian: a hundred thousand Gaussians that each cover the whole
 picture are 250 million pairs in a view of 800 x 800, where captured scenes of half a million have one.
 """
 
@@ -10,33 +10,27 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.config import CONFIG
 from engine.model import Camera, GaussianModel
 from engine.raster import count_overlaps
 from engine.raster.settings import TILE
 
-__all__ = ["MOST_PAIRS", "SIDE", "check_drawable", "is_drawable"]
+__all__ = ["check_drawable", "is_drawable"]
 
-MOST_PAIRS = 30_000_000
-"""Of tile and Gaussian in a view of `SIDE`: 23 times what the fullest of eight real scenes has (500,000 Gaussians, 1.27
-million). So many take about five seconds to list and blend on two cores."""
-SIDE = 800
-"""Longer side of the views that are counted, pixels, whatever that of the cameras: landmarks and pictures for people
-have sizes of their own."""
-VIEWS = 4
-"""Of a suspect, whose own cameras nobody knows."""
+_CONFIG = CONFIG.cost
 
 
 def check_drawable(model: GaussianModel, cameras: Sequence[Camera] = ()) -> None:
     """InputError if a view of the model (regular ones, where no cameras are given) would be too much to draw."""
-    for number, camera in enumerate(cameras or make_rig(model, VIEWS, SIDE, SIDE), start=1):
-        seen = camera.with_side(SIDE)
+    for number, camera in enumerate(cameras or make_rig(model, _CONFIG.views, _CONFIG.side, _CONFIG.side), start=1):
+        seen = camera.with_side(_CONFIG.side)
         overlaps = count_overlaps(model, seen)
         pairs = int(overlaps.sum())
-        if pairs > MOST_PAIRS:
+        if pairs > _CONFIG.most_pairs:
             large = int(np.count_nonzero(4 * TILE**2 * overlaps > seen.width * seen.height))
             raise InputError(
                 f"this model takes too long to draw: its Gaussians cover {pairs / 1e6:,.0f} million tiles of view"
-                f" {number}, all added up, and {MOST_PAIRS / 1e6:.0f} million are allowed; {large:,} of its"
+                f" {number}, all added up, and {_CONFIG.most_pairs / 1e6:.0f} million are allowed; {large:,} of its"
                 f" {len(model):,} Gaussians cover more than a quarter of it"
             )
 

@@ -11,6 +11,7 @@ import numpy as np
 from engine.compress.impact import frequency_impact, measure_impact, ranks
 from engine.flows.embed.variant import AtView
 from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.config import CONFIG
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import EarlyStop, View, prepare_view, render, sh_colors
@@ -66,13 +67,10 @@ def worst_psnr_against(
     return measure
 
 
-VIEWS, SIZE = 8, 400
-"""Views around the model, and their side in pixels, from which W^freq is measured."""
-
-
 def early_stop(model: GaussianModel, tau: float) -> EarlyStop:
     """The stop at this tau. W is a rank in (0, 1], as in Eq 5: the paper gives its sum no unit."""
-    seen = look(model, make_rig(model, VIEWS, SIZE, SIZE), lambda _: None)
+    size = CONFIG.frequency_size
+    seen = look(model, make_rig(model, CONFIG.frequency_views, size, size), lambda _: None)
     impact = measure_impact(model, seen.views, seen.images)
     return EarlyStop(ranks(frequency_impact(model, impact)).astype("float32"), tau)
 

@@ -16,8 +16,8 @@ from engine.kernels.machine_code import on_compiling
 __all__ = ["Work", "expected_seconds", "warm_up"]
 
 MOST_PROCESSES = 4
-"""That compile at a time: each is a Python of its own with a compiler in it, and longer than the longest step nobody
-gains."""
+"""That compile at a time: each is a Python of its own with a compiler in it, and more would not end before the
+longest step."""
 
 
 def warm_up(
@@ -27,10 +27,10 @@ def warm_up(
     compiling: Callable[[], None] = lambda: None,
     enough: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1, by the time that it takes to
-    compile, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are cores by
-    default, at most compile side by side; only this one where nothing can be kept. As long as kernels are only loaded,
-    it ends as soon as that is `enough`."""
+    """Make the kernels of some work ready; `progress` is called with the fraction done, 0 to 1, by the time that
+    compiling takes, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are
+    cores by default, at most compile side by side; only this one where nothing can be kept. As long as kernels are only
+    loaded, it ends as soon as that is `enough`."""
     steps = steps_of(work)
     plan = _Plan(steps, progress or (lambda fraction: None))
     begun = False
@@ -120,7 +120,7 @@ def _help(plan: _Plan) -> None:
             )
             _ask(program, name)
         except OSError:
-            pass  # whoever called compiles what has not been
+            pass  # the caller compiles what has not been
         finally:
             plan.finish(name)
     if program is not None:

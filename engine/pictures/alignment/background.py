@@ -13,25 +13,11 @@ import numpy as np
 
 from engine.model import Bool, Float32
 from engine.numerics.resampling import smooth
+from engine.pictures.alignment.config import CONFIG
 
 __all__ = ["Background", "fill_background", "find_background"]
 
-CLEAR = 0.02
-"""Opacity of the reference below which a pixel shows what lies behind."""
-MARGIN = 3
-"""Pixels around anything more opaque that are not trusted: the camera may be off, and viewers blur."""
-FINEST = 4
-"""Pixels of a cell of the finest level: noise of single pixels is not what lies behind."""
-AROUND = 16
-"""Pixels of a cell of the surroundings by which it is judged whether the background can be guessed at all."""
-LEAST_SHARE = 0.003
-"""Share of clear pixels below which nothing is known of what lies behind."""
-_TRUST = 0.05
-"""Share of a cell that must be clear for it to speak for itself and not for its surroundings."""
-_BLACK = 1.5 / 255.0
-"""A mean below this is no background."""
-_TOLERATED = 0.02
-"""How wrong what shines through a pixel may be for it to carry evidence, image units."""
+_CONFIG = CONFIG.background
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,30 +32,32 @@ def find_background(picture: Float32, alpha: Float32) -> Background | None:
     """What lies behind the reference in a picture (H, W, 3), pixel on pixel over its render of opacity `alpha` (H, W);
     None where that is black, or hardly to be seen."""
     filled = fill_background(picture, alpha)
-    if filled is None or float(np.abs(filled).mean()) < _BLACK:
+    if filled is None or float(np.abs(filled).mean()) < _CONFIG.black:
         return None
     # How far cells are off what their surroundings say: nothing over a plain colour, much over a photograph.
-    around = fill_background(picture, alpha, finest=AROUND)
+    around = fill_background(picture, alpha, finest=_CONFIG.around)
     assert around is not None
-    rough = fill_background(np.square(smooth(picture - around, FINEST)).mean(axis=2), alpha)
+    rough = fill_background(np.square(smooth(picture - around, _CONFIG.finest)).mean(axis=2), alpha)
     assert rough is not None
     clear = 1.0 - alpha
-    trusted = clear * np.sqrt(np.maximum(rough, 0.0)) < _TOLERATED
-    return Background(clear[..., None] * filled, trusted & (alpha > CLEAR))
+    trusted = clear * np.sqrt(np.maximum(rough, 0.0)) < _CONFIG.tolerated
+    return Background(clear[..., None] * filled, trusted & (alpha > _CONFIG.clear))
 
 
-def fill_background(picture: Float32, alpha: Float32, margin: int = MARGIN, finest: int = FINEST) -> Float32 | None:
+def fill_background(
+    picture: Float32, alpha: Float32, margin: int = _CONFIG.margin, finest: int = _CONFIG.finest
+) -> Float32 | None:
     """(H, W) or (H, W, C) what lies behind the reference, of the picture's shape; None where too little is clear.
 
     `alpha` (H, W) is the opacity of the reference's render in the picture's pixels, right within `margin` pixels;
-    nothing smaller than `finest` pixels is told apart.
+    nothing smaller than `finest` pixels is resolved.
     """
     import cv2
 
     height, width = alpha.shape
     window = np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)
-    clear = (cv2.dilate(alpha, window) < CLEAR).astype(np.float32)
-    if clear.mean() < LEAST_SHARE:
+    clear = (cv2.dilate(alpha, window) < _CONFIG.clear).astype(np.float32)
+    if clear.mean() < _CONFIG.least_share:
         return None
     planes = picture.reshape(height, width, -1)
     # Sums and counts of clear pixels, coarser and coarser; then down again, each cell mixed with what is around it.
@@ -87,6 +75,6 @@ def fill_background(picture: Float32, alpha: Float32, margin: int = MARGIN, fine
     filled = levels[-1][0] / np.maximum(levels[-1][1], 1e-6)[..., None]
     for sums, counts in levels[-2::-1]:
         around = cv2.resize(filled, counts.shape[::-1], interpolation=cv2.INTER_LINEAR).reshape(sums.shape)
-        filled = (sums + _TRUST * around) / (counts + _TRUST)[..., None]
+        filled = (sums + _CONFIG.trust * around) / (counts + _CONFIG.trust)[..., None]
     full = cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(full, dtype=np.float32).reshape(picture.shape)

@@ -17,42 +17,13 @@ import numpy.typing as npt
 
 from engine.model import Bool, Float32, Float64
 from engine.numerics.resampling import resized, smooth
-from engine.pictures.alignment.background import CLEAR, fill_background
+from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.brightness_fit import robust_scale
+from engine.pictures.alignment.config import CONFIG
 
-__all__ = ["Blur", "BlurConfig", "find_blur"]
+__all__ = ["Blur", "find_blur"]
 
-
-@dataclass(frozen=True)
-class BlurConfig:
-    """What blur is found with; lengths in pixels, widths of kernels as standard deviations along an axis."""
-
-    half: int = 2  # the first look is taken at pictures of this part of the size
-    # Smoothing of the first look, pixels of the full size: wider than the blurs that are read, or their Taylor series
-    # does not hold
-    look: float = 4.0
-    # Width along its long axis of a kernel that is looked for: the mark of a sharp picture looks like 0.7, and softer
-    # pictures than this are read well as they are
-    least_spread: float = 1.1
-    least_width: float = 1.0  # the same of the kernel that was fitted
-    widest: float = 6.0
-    # Support of the kernel: an ellipse of so many widths, and so many pixels for what the first look missed and a shift
-    reach: float = 2.5
-    margin: float = 2.5
-    spill: int = 8  # around the model's render, where the picture may show it: half of the longest line
-    samples: int = 20_000  # pixels that tell the kernel, and the first look
-    least_samples: int = 2_000  # with fewer, no blur is estimated
-    ridge: float = 1e-5  # of the normal matrix's mean diagonal: what the render does not show is not made up
-    rounds: int = 2  # of the robust fit
-    outlying: float = 3.0  # robust standard deviations at which a pixel counts for half
-    least_sum: float = 0.2  # of the fitted kernel, which is the picture's contrast: less is another picture
-    # Share of what the sharp render misses the picture by that a kernel may leave. Blur, a poor JPEG of it, too, leaves
-    # below 0.45; a picture reduced from a larger one, which is no blur of the render of its size, 0.56 and more
-    explained: float = 0.6
-    clipped: float = 0.985  # brighter pixels, 0..1, say nothing
-
-
-CONFIG = BlurConfig()
+_CONFIG = CONFIG.blur
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,30 +56,30 @@ def find_blur(sharp: Float32, alpha: Float32, seen: Float32, mask: Bool | None =
 
     `mask` (H, W) are the pixels of the picture that may be trusted, by default all.
     """
-    usable = (alpha > CLEAR) & (seen < CONFIG.clipped)
+    usable = (alpha > CONFIG.background.clear) & (seen < _CONFIG.clipped)
     if mask is not None:
         usable &= mask
-    behind = fill_background(seen, alpha, CONFIG.spill)
+    behind = fill_background(seen, alpha, _CONFIG.spill)
     if behind is not None:  # it was blurred together with the model
         sharp = sharp + (1.0 - alpha) * behind
     moments = _first_look(sharp, seen, usable)
-    if moments is None or not CONFIG.least_spread <= _widths(moments)[0] <= CONFIG.widest:
+    if moments is None or not _CONFIG.least_spread <= _widths(moments)[0] <= _CONFIG.widest:
         return None
     return _fit(sharp, seen, usable, _support(moments))
 
 
 def _first_look(sharp: Float32, seen: Float32, usable: Bool) -> Float64 | None:
     """(2, 2) second moments of the kernel, pixels squared, x first; roughly."""
-    half = CONFIG.half
+    half = _CONFIG.half
     width, height = sharp.shape[1] // half, sharp.shape[0] // half
     if min(width, height) < 2:
         return None
     inside, *planes = (resized(each, width, height) for each in (usable.astype(np.float32), sharp, seen))
-    cover, base, other = (smooth(each, CONFIG.look / half) for each in (inside, *planes))
+    cover, base, other = (smooth(each, _CONFIG.look / half) for each in (inside, *planes))
     gy, gx = (np.asarray(each) for each in np.gradient(base))
     (gyy, gxy), gxx = np.gradient(gy), np.gradient(gx, axis=1)
     where = _steepest(gx * gx + gy * gy, (inside == 1.0) & (cover > 0.9))
-    if len(where) < CONFIG.least_samples:
+    if len(where) < _CONFIG.least_samples:
         return None
     columns = (np.ones_like(base), base, gx, gy, gxx, gxy, gyy)
     design = np.stack([column.ravel()[where] for column in columns], axis=1).astype(np.float64)
@@ -120,7 +91,7 @@ def _first_look(sharp: Float32, seen: Float32, usable: Bool) -> Float64 | None:
 def _support(moments: Float64) -> Bool:
     """(2 r + 1, 2 r + 1) where a kernel of about these moments may differ from zero."""
     values, vectors = np.linalg.eigh(moments)
-    short, long = CONFIG.reach * np.sqrt(np.maximum(values, 0.0)) + CONFIG.margin
+    short, long = _CONFIG.reach * np.sqrt(np.maximum(values, 0.0)) + _CONFIG.margin
     radius = int(long)
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     across, along = (vectors[0, k] * x + vectors[1, k] * y for k in range(2))
@@ -134,7 +105,7 @@ def _fit(sharp: Float32, seen: Float32, usable: Bool, support: Bool) -> Blur | N
     inner = np.zeros_like(usable)
     inner[radius:-radius, radius:-radius] = usable[radius:-radius, radius:-radius]
     where = _steepest(gx * gx + gy * gy, inner)
-    if len(where) < max(CONFIG.least_samples, 4 * count):
+    if len(where) < max(_CONFIG.least_samples, 4 * count):
         return None
     dy, dx = np.nonzero(support)
     shifts = (dy - radius) * sharp.shape[1] + dx - radius
@@ -143,28 +114,28 @@ def _fit(sharp: Float32, seen: Float32, usable: Bool, support: Bool) -> Blur | N
     design = np.ones((len(where), count + 1), dtype=np.float32)  # (P, K + 1)
     design[:, :-1] = base[where[:, None] + shifts] - offset
     weight = np.ones(len(where), dtype=np.float32)
-    for _ in range(CONFIG.rounds):
+    for _ in range(_CONFIG.rounds):
         weighted = design * weight[:, None]
         normal = (weighted.T @ design).astype(np.float64)
-        normal[np.diag_indices(count)] += CONFIG.ridge * np.trace(normal[:-1, :-1]) / count
+        normal[np.diag_indices(count)] += _CONFIG.ridge * np.trace(normal[:-1, :-1]) / count
         solution = np.linalg.solve(normal, (weighted.T @ target).astype(np.float64))
         left = target - design @ solution.astype(np.float32)
         spread = robust_scale(left)
-        weight = 1.0 / (1.0 + np.square(left / (CONFIG.outlying * spread)))
+        weight = 1.0 / (1.0 + np.square(left / (_CONFIG.outlying * spread)))
     total = float(solution[:-1].sum())
     slope, level = np.polyfit(base[where].astype(np.float64), target.astype(np.float64), 1)
     unexplained = robust_scale(target - (slope * base[where] + level))
-    if total < CONFIG.least_sum or spread > CONFIG.explained * unexplained:
+    if total < _CONFIG.least_sum or spread > _CONFIG.explained * unexplained:
         return None
     kernel = np.zeros(support.shape, dtype=np.float32)
     kernel[support] = solution[:-1] / total
     found = Blur(kernel)
-    return found if found.widths[0] >= CONFIG.least_width else None
+    return found if found.widths[0] >= _CONFIG.least_width else None
 
 
 def _steepest(energy: Float32, usable: Bool) -> npt.NDArray[np.intp]:
     """(P,) indices of the usable pixels of the largest energy, about as many as are sampled."""
-    there, count = np.flatnonzero(usable), CONFIG.samples
+    there, count = np.flatnonzero(usable), _CONFIG.samples
     if len(there) <= count:
         return there
     loud = energy.ravel()[there]

@@ -6,15 +6,11 @@ import numpy as np
 
 from engine.model import Float32, Float64
 from engine.numerics.resampling import map_points, sample, smooth
+from engine.pictures.alignment.config import CONFIG
 
 __all__ = ["Fit", "fit_warp", "robust_line", "robust_scale", "still_rms"]
 
-_SAMPLES = 120_000
-"""Most pixels used on one level; those with the steepest gradients."""
-_ITERATIONS = {8: 12, 4: 10, 2: 6, 1: 6}
-_CLIPPED = 0.985
-"""Brighter samples of the suspect say nothing about position."""
-_LEAST_SAMPLES = 60
+_CONFIG = CONFIG.planar
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +59,15 @@ def _fit_level(reference: Float32, suspect: Float32, matrix: Float64, level: int
     blurred = smooth(reference, width * max(1.0, 1.0 / scale))
     other = smooth(suspect, width * max(scale, 1.0))
     points, values, columns = _steepest(blurred, level, homography)
-    if len(points) < _LEAST_SAMPLES:
+    if len(points) < _CONFIG.least_samples:
         return None
     gain, offset, best = 1.0, 0.0, None
     center = np.array([[reference.shape[1] / 2, reference.shape[0] / 2]])
     unit = max(reference.shape) / 2.0
-    for iteration in range(_ITERATIONS[level]):
+    for iteration in range(_CONFIG.iterations[level.bit_length() - 1]):
         seen = sample(other, map_points(matrix, points))
-        usable = np.isfinite(seen) & (seen < _CLIPPED)
-        if usable.sum() < max(_LEAST_SAMPLES, 0.03 * len(points)):
+        usable = np.isfinite(seen) & (seen < _CONFIG.clipped)
+        if usable.sum() < max(_CONFIG.least_samples, 0.03 * len(points)):
             return None
         w, r, design = seen[usable], values[usable], columns[usable]
         if iteration == 0:
@@ -105,7 +101,7 @@ def still_rms(reference: Float32, suspect: Float32, fit: Fit) -> float:
     """Robust residual, image units, of a fit of two images of one size (H, W) whose motion is left out."""
     points, values, _ = _steepest(smooth(reference, 0.7), 1, False)
     seen = sample(smooth(suspect, 0.7), points)
-    usable = np.isfinite(seen) & (seen < _CLIPPED)
+    usable = np.isfinite(seen) & (seen < _CONFIG.clipped)
     return robust_scale(seen[usable] - fit.gain * values[usable] - fit.offset) if usable.any() else np.inf
 
 
@@ -123,7 +119,7 @@ def _steepest(image: Float32, level: int, homography: bool) -> tuple[Float64, Fl
     gray = image[::level, ::level]
     gy, gx = np.asarray(gy)[::level, ::level], np.asarray(gx)[::level, ::level]
     energy = (gx * gx + gy * gy).ravel()
-    chosen = np.nonzero(energy > max(1e-8, float(np.quantile(energy, max(0.5, 1 - _SAMPLES / energy.size)))))[0]
+    chosen = np.nonzero(energy > max(1e-8, float(np.quantile(energy, max(0.5, 1 - _CONFIG.samples / energy.size)))))[0]
     rows, cols = np.divmod(chosen, gray.shape[1])
     points = np.stack([cols, rows], axis=1) * float(level) + 0.5  # (P, 2)
     unit = max(image.shape) / 2.0

@@ -9,22 +9,11 @@ import numpy as np
 
 from engine.model import Bool, Camera, Float32
 from engine.numerics.resampling import resized, smooth
+from engine.pictures.alignment.config import CONFIG
 
 __all__ = ["compare_detail", "correlation", "uncovered"]
 
-DETAIL = (1 / 160, 3 / 160)
-"""Blurs between which detail lies, longer sides of the picture: a light and a dark part, which every other scene has
-somewhere, are coarser; noise, compression and a picture out of focus are finer."""
-DETAIL_SIZE = 320
-"""Longer side of the picture on which detail is compared, pixels."""
-LEAST_COVER = 0.1
-"""Pixels of it of which a smaller part is usable are left out."""
-CELLS = 24
-"""Along the longer side of a picture, that are covered or not: a viewer's panel spans several."""
-MOST_COVERED = 0.15
-"""Share of what is used that something may lie over, such as a viewer's panels."""
-COVERED = 3.0
-"""Root mean square residual of a cell that is, robust standard deviations."""
+_CONFIG = CONFIG.detail
 
 
 def correlation(a: Float32, b: Float32) -> float:
@@ -35,13 +24,13 @@ def correlation(a: Float32, b: Float32) -> float:
 
 
 def uncovered(residual: Float32, used: Bool, spread: float) -> Bool:
-    """(H, W) the pixels used without the cells that something lies over: at most `MOST_COVERED`, those of the largest
+    """(H, W) the pixels used without the cells that something lies over: at most `most_covered`, those of the largest
     `residual` (H, W), of this robust standard deviation. Right cameras under panels correlate by 0.90 and more so, by
     0.73 with them."""
     import cv2
 
     height, width = used.shape
-    side = max(height, width) / CELLS
+    side = max(height, width) / _CONFIG.cells
     shape = max(1, round(width / side)), max(1, round(height / side))
     there, off = (
         cv2.resize(each.astype(np.float32), shape, interpolation=cv2.INTER_AREA).ravel()
@@ -49,7 +38,7 @@ def uncovered(residual: Float32, used: Bool, spread: float) -> Bool:
     )
     order = np.argsort(-off / np.maximum(there, 1e-6), kind="stable")
     share = np.cumsum(there[order]) / max(float(there.sum()), 1e-9)
-    over = (share <= MOST_COVERED) & (off[order] > (COVERED * spread) ** 2 * there[order])
+    over = (share <= _CONFIG.most_covered) & (off[order] > (_CONFIG.covered * spread) ** 2 * there[order])
     covered = np.zeros(len(order), dtype=np.uint8)
     covered[order[over]] = 1
     return np.asarray(
@@ -66,15 +55,15 @@ class DetailAgreement(NamedTuple):
 
 def compare_detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: Camera) -> DetailAgreement:
     """Agreement of the details of render and picture (H, W) that do not follow from its opacity `cover`."""
-    small = camera.with_side(min(DETAIL_SIZE, max(used.shape)))
+    small = camera.with_side(min(_CONFIG.side, max(used.shape)))
     inside, *planes = (
         resized(np.where(used, each, 0.0).astype(np.float32), small.width, small.height)
         for each in (np.ones_like(seen), toned, seen, cover)
     )
-    shown = inside > LEAST_COVER
+    shown = inside > _CONFIG.least_cover
     if not shown.any():
         return DetailAgreement(0.0, 0.0)
-    fine, coarse = (share * max(small.width, small.height) for share in DETAIL)
+    fine, coarse = (share * max(small.width, small.height) for share in _CONFIG.blurs)
     around = smooth(inside, fine)[shown], smooth(inside, coarse)[shown]
     a, b, c = (smooth(each, fine)[shown] / around[0] - smooth(each, coarse)[shown] / around[1] for each in planes)
     alike = correlation(_beyond(a, c), _beyond(b, c))

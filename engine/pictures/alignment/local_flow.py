@@ -19,45 +19,13 @@ import numpy as np
 
 from engine.model import Bool, Float32
 from engine.numerics.resampling import remap, resized, smooth
+from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.uneven_light import predict_brightness
 from engine.pictures.landmarks.keypoints import luma
 
 __all__ = ["LocalAlignment", "align_locally"]
 
-OPAQUE = 0.5
-"""Opacity of the reference below which a pixel does not say where the model is."""
-AROUND = 8.0
-"""Blur of the windows in which correlation is measured and the flow is refined, pixels: with 5, four pictures read
-between the same and 3 % worse."""
-FITS = 0.9
-"""Correlation of a neighbourhood from which it fits."""
-WELL = 0.85
-"""Share of the model that fits above which nothing is looked for."""
-BETTER = 0.04
-"""Share of the model that must fit more at half size, by the rough flow, for more to be done: of 20 pictures that need
-no bending 17 came to less, none of those that do."""
-TELLING = 256
-"""Longer side of the half-sized picture below which that does not tell, pixels; there the rest costs little."""
-CLEAR = 0.06
-"""Share of the model that must fit more than before in the end."""
-KEPT = 0.8
-"""Correlation of a neighbourhood below which it is masked once it was carried over."""
-CONSISTENT = 1.0
-"""Pixels of half the size by which the flow forth and back may disagree."""
-MEDIAN = 5
-"""Side of the median that takes single wrong vectors out of the flow, pixels of half the size."""
-FILLED = 4.0
-"""Blur by which the flow is filled in where the two do not agree, pixels."""
-ROUNDS, FARTHEST = 6, 1.0
-"""Of the refinement, and the motion of a round at most, pixels."""
-BLUR = 0.8
-"""Of both images before they are compared, pixels, as cameras are refined."""
-OUTLYING = 2.5
-"""Robust standard deviations from which a residual counts half."""
-WRONG = 0.06, 5.0
-"""A difference that is masked: more than this of brightness, and so many times the usual."""
-MARGIN = 2
-"""Pixels by which the mask is eroded."""
+_CONFIG = CONFIG.flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +43,7 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
 
     None where the picture fits as it is, or hardly fits better anywhere when bent.
     """
-    shown = alpha > OPAQUE
+    shown = alpha > _CONFIG.opaque
     if not shown.any():
         return None
     gray, seen = luma(reference_image), luma(picture)
@@ -84,17 +52,17 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
         return None
     flow, agreed = (_doubled(each, gray.shape) for each in rough)
     expected = predict_brightness(gray, seen, shown)
-    before = _correlation(expected, seen, shown, AROUND)[shown] > FITS
+    before = _correlation(expected, seen, shown, _CONFIG.around)[shown] > _CONFIG.fits
     used = (shown & (agreed > 0.5)).astype(np.float32)
-    flow = _filled(flow, used, FILLED)
-    for _ in range(ROUNDS):
+    flow = _filled(flow, used, _CONFIG.filled)
+    for _ in range(_CONFIG.rounds):
         flow = flow + _step(expected, picture, flow, used)
     warped, inside = remap(picture, _positions(flow))
     there = luma(warped)
     expected = predict_brightness(gray, there, inside & shown)
-    alike = _correlation(expected, there, shown & inside, AROUND)
-    after = alike[shown] > FITS
-    if after.mean() - before.mean() < CLEAR:
+    alike = _correlation(expected, there, shown & inside, _CONFIG.around)
+    after = alike[shown] > _CONFIG.fits
+    if after.mean() - before.mean() < _CONFIG.clear:
         return None
     return LocalAlignment(warped, _fitting(expected, there, alike, shown & inside), flow)
 
@@ -102,19 +70,19 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
 def _rough(gray: Float32, seen: Float32, alpha: Float32) -> tuple[Float32, Float32] | None:
     """(H, W, 2) flow from a render to a picture, brightness (H, W), in pixels, and (H, W) 1 where it leads back; None
     where the picture fits as it is, or hardly better."""
-    shown = alpha > OPAQUE
+    shown = alpha > _CONFIG.opaque
     if not shown.any():
         return None
     expected = predict_brightness(gray, seen, shown)
-    before = (_correlation(expected, seen, shown, AROUND / 2)[shown] > FITS).mean()
-    if before > WELL:
+    before = (_correlation(expected, seen, shown, _CONFIG.around / 2)[shown] > _CONFIG.fits).mean()
+    if before > _CONFIG.well:
         return None
     flow, agreed = _dense(expected, seen)
-    near = _filled(flow, (shown & agreed).astype(np.float32), FILLED / 2)
+    near = _filled(flow, (shown & agreed).astype(np.float32), _CONFIG.filled / 2)
     there, inside = remap(seen[..., None], _positions(near))
     expected = predict_brightness(gray, there[..., 0], inside & shown)
-    after = (_correlation(expected, there[..., 0], shown & inside, AROUND / 2)[shown] > FITS).mean()
-    better = after - before > BETTER or max(seen.shape) < TELLING
+    after = (_correlation(expected, there[..., 0], shown & inside, _CONFIG.around / 2)[shown] > _CONFIG.fits).mean()
+    better = after - before > _CONFIG.better or max(seen.shape) < _CONFIG.telling
     return (flow, agreed.astype(np.float32)) if better else None
 
 
@@ -143,38 +111,39 @@ def _dense(expected: Float32, seen: Float32) -> tuple[Float32, Bool]:
     search.setFinestScale(0)
     forth, back = search.calc(one, other, None), search.calc(other, one, None)
     returned, _ = remap(back, _positions(forth))
-    agreed = np.linalg.norm(forth + returned, axis=2) < CONSISTENT
-    flow = np.stack([cv2.medianBlur(np.ascontiguousarray(forth[..., axis]), MEDIAN) for axis in (0, 1)], axis=2)
+    agreed = np.linalg.norm(forth + returned, axis=2) < _CONFIG.consistent
+    flow = np.stack([cv2.medianBlur(np.ascontiguousarray(forth[..., axis]), _CONFIG.median) for axis in (0, 1)], axis=2)
     return np.asarray(flow), np.asarray(agreed)
 
 
 def _step(expected: Float32, picture: Float32, flow: Float32, used: Float32) -> Float32:
     """(H, W, 2) what to add to the flow: Gauss-Newton in windows."""
     warped, inside = remap(picture, _positions(flow))
-    known = smooth(expected, BLUR)
-    residual = smooth(luma(warped), BLUR) - known
+    known = smooth(expected, _CONFIG.blur)
+    residual = smooth(luma(warped), _CONFIG.blur) - known
     counted = inside & (used > 0)
     if not counted.any():
         return np.zeros_like(flow)
     gy, gx = (np.asarray(each) for each in np.gradient(known))
-    spread = OUTLYING * (1.4826 * float(np.median(np.abs(residual[counted]))) + 1e-3)
+    spread = _CONFIG.outlying * (1.4826 * float(np.median(np.abs(residual[counted]))) + 1e-3)
     weight = counted / (1.0 + np.square(residual / spread))
     sums = (gx * gx, gx * gy, gy * gy, gx * residual, gy * residual)
-    xx, xy, yy, bx, by = (smooth((weight * each).astype(np.float32), AROUND) for each in sums)
+    xx, xy, yy, bx, by = (smooth((weight * each).astype(np.float32), _CONFIG.around) for each in sums)
     xx, yy = xx + 1e-6, yy + 1e-6
     step = -np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=2) / (xx * yy - xy * xy)[..., None]
-    step *= np.minimum(1.0, FARTHEST / np.maximum(np.linalg.norm(step, axis=2, keepdims=True), 1e-6))
-    return _filled(step.astype(np.float32), smooth((weight * (gx * gx + gy * gy)).astype(np.float32), 3.0), AROUND / 2)
+    step *= np.minimum(1.0, _CONFIG.farthest / np.maximum(np.linalg.norm(step, axis=2, keepdims=True), 1e-6))
+    known = smooth((weight * (gx * gx + gy * gy)).astype(np.float32), 3.0)
+    return _filled(step.astype(np.float32), known, _CONFIG.around / 2)
 
 
 def _fitting(expected: Float32, there: Float32, alike: Float32, shown: Bool) -> Bool:
     import cv2
 
-    fits = shown & (alike > KEPT)
+    fits = shown & (alike > _CONFIG.kept)
     off = smooth(np.where(fits, np.abs(there - expected), 0.0).astype(np.float32), 4.0)
     usual = float(np.median(off[fits])) if fits.any() else 0.0
-    fits &= off <= max(WRONG[0], WRONG[1] * usual)
-    size = 2 * MARGIN + 1
+    fits &= off <= max(_CONFIG.wrong, _CONFIG.wrong_spreads * usual)
+    size = 2 * _CONFIG.margin + 1
     return np.asarray(cv2.erode(fits.astype(np.uint8), np.ones((size, size), dtype=np.uint8)) > 0)
 
 

@@ -18,35 +18,13 @@ from engine.errors import InputError
 from engine.model import Bool, Float32, Float64
 from engine.numerics.resampling import map_points, smooth, warp
 from engine.pictures.alignment.brightness_fit import Fit, fit_warp, still_rms
+from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.uneven_light import predict_brightness
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma, match_within
 
 __all__ = ["Alignment", "align_either_hand", "align_image", "align_near", "align_upright", "near_motions"]
 
-KEYPOINTS = 2000
-"""SIFT keypoints an image."""
-RATIO = 0.8
-"""Lowe's ratio of distances."""
-RANSAC_PIXELS = 3.0
-"""Reprojection error of an inlier, pixels."""
-LEAST_MATCHES = 8
-"""Inliers a SIFT hypothesis needs."""
-LEAST_CORRELATION, SURE_CORRELATION = 0.4, 0.98
-"""Correlation of the brightness of both images below which there is no alignment, and above which no further hypothesis
-is tried."""
-WELL_CORRELATION = 0.95
-"""Correlation below which a picture may be a mirror image: rivals that look alike came to 0.92."""
-PERSPECTIVE_GAIN = 0.97
-"""A homography must lower the residual to this fraction of the similarity's."""
-SNAP_PIXELS, SNAP_FAR = 0.06, 0.3
-"""A fitted motion smaller than this everywhere is none: the picture is used without resampling. So is a larger one, up
-to the second, that does not lower the residual to `PERSPECTIVE_GAIN` of it: coarse JPEG makes such motions up."""
-WHOLE_PIXELS = 2.0
-"""A motion that is nearer than this to a shift by whole pixels, everywhere, may be one: coarse JPEG makes up one."""
-MARGIN = 3
-"""Pixels by which the mask is eroded."""
-SUSPICIOUS = 0.005
-"""Share of contradicting pixels above which brightness is predicted more carefully."""
+_CONFIG = CONFIG.planar
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +59,9 @@ def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment |
         coarse = fit_warp(gray, suspect_gray, matrix, levels=(8, 4), homography=False)
         if coarse is not None and (best is None or coarse.correlation > best.correlation):
             best = coarse
-        if best is not None and best.correlation > SURE_CORRELATION:
+        if best is not None and best.correlation > _CONFIG.sure_correlation:
             break
-    if best is None or best.correlation < LEAST_CORRELATION:
+    if best is None or best.correlation < _CONFIG.least_correlation:
         return None
     fit = fit_warp(gray, suspect_gray, best.matrix, levels=(4, 2, 1), homography=False) or best
     return _laid_over(reference, suspect, fit)
@@ -93,7 +71,7 @@ def _laid_over(reference: Float32, suspect: Float32, fit: Fit) -> Alignment:
     """The suspect in the reference's pixels by a fit, bent where that fits better."""
     gray, suspect_gray = luma(reference), luma(suspect)
     bent = fit_warp(gray, suspect_gray, fit.matrix, levels=(2, 1), homography=True)
-    if bent is not None and bent.rms < PERSPECTIVE_GAIN * fit.rms:
+    if bent is not None and bent.rms < _CONFIG.perspective_gain * fit.rms:
         fit = bent
     still = gray.shape == suspect_gray.shape and _is_still(gray, suspect_gray, fit)
     return _resampled(reference, suspect, fit, np.eye(3) if still else fit.matrix)
@@ -111,7 +89,7 @@ def align_near(reference_image: Float32, suspect_image: Float32) -> Alignment | 
     """As `align_image` of a suspect that lies over the render within a pixel or so: no hypotheses are sought."""
     reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
     fit = fit_warp(luma(reference), luma(suspect), np.eye(3), levels=(2, 1), homography=False)
-    return None if fit is None or fit.correlation < LEAST_CORRELATION else _laid_over(reference, suspect, fit)
+    return None if fit is None or fit.correlation < _CONFIG.least_correlation else _laid_over(reference, suspect, fit)
 
 
 def align_upright(reference_image: Float32, suspect_image: Float32) -> tuple[Float64, Alignment] | None:
@@ -124,7 +102,7 @@ def align_upright(reference_image: Float32, suspect_image: Float32) -> tuple[Flo
     if reference.shape != suspect.shape:
         raise InputError(f"a picture of shape {suspect.shape} does not lie on a render of shape {reference.shape}")
     fit = fit_warp(luma(reference), luma(suspect), np.eye(3), levels=(2, 1), homography=False)
-    if fit is None or fit.correlation < LEAST_CORRELATION:
+    if fit is None or fit.correlation < _CONFIG.least_correlation:
         return None
     return fit.matrix, _resampled(reference, suspect, fit, np.eye(3))
 
@@ -143,7 +121,7 @@ def near_motions(matrix: Float64, shape: tuple[int, ...]) -> list[Float64]:
     similarity[:2, 2] = mapped.mean(axis=0) - similarity[:2, :2] @ corners.mean(axis=0)
     whole = np.eye(3)
     whole[:2, 2] = np.round((mapped - corners).mean(axis=0))
-    nearly = np.abs(map_points(whole, corners) - map_points(similarity, corners)).max() < WHOLE_PIXELS
+    nearly = np.abs(map_points(whole, corners) - map_points(similarity, corners)).max() < _CONFIG.whole_pixels
     return [whole, similarity] if nearly else [similarity]
 
 
@@ -151,7 +129,7 @@ def align_either_hand(reference_image: Float32, suspect_image: Float32) -> Align
     """As `align_image`; where that does not fit well, the picture turned over left to right and upside down is tried,
     too, and the better fit answers."""
     best = align_image(reference_image, suspect_image)
-    if best is not None and best.correlation > WELL_CORRELATION:
+    if best is not None and best.correlation > _CONFIG.well_correlation:
         return best
     for axis in (1, 0):
         other = align_image(reference_image, np.flip(suspect_image, axis))
@@ -182,30 +160,30 @@ def _hypotheses(gray: Float32, suspect: Float32) -> Iterator[Float64]:
 def _sift_hypotheses(gray: Float32, suspect: Float32) -> Iterator[Float64]:
     import cv2
 
-    a, b = detect_keypoints(gray, KEYPOINTS), detect_keypoints(suspect, KEYPOINTS)
-    from_suspect, to_reference = match_within(b.descriptors, a.descriptors, RATIO)
-    if len(from_suspect) < LEAST_MATCHES:
+    a, b = detect_keypoints(gray, _CONFIG.keypoints), detect_keypoints(suspect, _CONFIG.keypoints)
+    from_suspect, to_reference = match_within(b.descriptors, a.descriptors, _CONFIG.ratio)
+    if len(from_suspect) < _CONFIG.least_matches:
         return
     source, target = a.points[to_reference], b.points[from_suspect]
     cv2.setRNGSeed(0)
     similarity, inliers = cv2.estimateAffinePartial2D(
-        source, target, method=cv2.RANSAC, ransacReprojThreshold=RANSAC_PIXELS, maxIters=2000, confidence=0.999
+        source, target, method=cv2.RANSAC, ransacReprojThreshold=_CONFIG.ransac_pixels, maxIters=2000, confidence=0.999
     )
     agreed = 0
-    if similarity is not None and inliers is not None and inliers.sum() >= LEAST_MATCHES:
+    if similarity is not None and inliers is not None and inliers.sum() >= _CONFIG.least_matches:
         agreed = int(inliers.sum())
         yield np.vstack([similarity, [0.0, 0.0, 1.0]])
-    bent, inliers = cv2.findHomography(source, target, cv2.RANSAC, RANSAC_PIXELS, maxIters=2000)
+    bent, inliers = cv2.findHomography(source, target, cv2.RANSAC, _CONFIG.ransac_pixels, maxIters=2000)
     # Eight numbers explain more than four by themselves; only a clear majority counts.
-    if bent is not None and inliers is not None and inliers.sum() > 1.3 * agreed + LEAST_MATCHES:
+    if bent is not None and inliers is not None and inliers.sum() > 1.3 * agreed + _CONFIG.least_matches:
         yield np.asarray(bent, dtype=np.float64)
 
 
 def _is_still(gray: Float32, suspect: Float32, fit: Fit) -> bool:
     largest = _largest_motion(fit.matrix, *gray.shape)
-    if largest < SNAP_PIXELS:
+    if largest < _CONFIG.snap_pixels:
         return True
-    return largest < SNAP_FAR and fit.rms > PERSPECTIVE_GAIN * still_rms(gray, suspect, fit)
+    return largest < _CONFIG.snap_far and fit.rms > _CONFIG.perspective_gain * still_rms(gray, suspect, fit)
 
 
 def _largest_motion(matrix: Float64, height: int, width: int) -> float:
@@ -227,11 +205,11 @@ def _evidence_mask(gray: Float32, warped: Float32, inside: Bool, fit: Fit) -> Bo
     import cv2
 
     wrong = _contradicted(np.clip(fit.gain * gray + fit.offset, 0.0, 1.0), warped, inside)
-    if np.mean(wrong) > SUSPICIOUS:  # captions, or a tone curve or light that gain and offset do not describe
+    if np.mean(wrong) > _CONFIG.suspicious:  # captions, or a tone curve or light that gain and offset do not describe
         again = _contradicted(predict_brightness(gray, warped, inside), warped, inside)
         wrong = again if again.sum() < wrong.sum() else wrong
     bad = (wrong | ~inside).astype(np.uint8)
-    size = 2 * MARGIN + 1
+    size = 2 * _CONFIG.margin + 1
     grown = cv2.dilate(bad, np.ones((size, size), dtype=np.uint8), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(grown == 0)
 

@@ -5,8 +5,8 @@
    resampling and a few hundredths of a pixel leave behind is explained by these.
 3. Reliability: the residual's Haar bands, brightness and chroma apart, are weighed by their own variance, so that
    bands drowned in noise or texture count little; outliers are clipped. How much of the reference's own faint details
-   a band still shows tells how much of a mark's it would: what a lossy coder emptied is quiet, and counts little all
-   the same.
+   a band still shows gives how much of a mark's it would: what a lossy coder emptied is quiet, and still counts
+   little.
 
 Everything depends on the picture and the unmarked reference alone: no key, no chip, no mark (DESIGN 4.9).
 """
@@ -19,38 +19,17 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Bool, Float32
 from engine.numerics.wavelet import dwt2, idwt2
+from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_curve import Toned, robust_regression
 from engine.pictures.alignment.uneven_light import fit_colors
 
 __all__ = ["image_cotangent"]
 
+_CONFIG = CONFIG.residual
 _OPPONENT = np.array(
     [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], dtype=np.float32
 )
 """Rows: Y, Cb, Cr of JPEG. JPEG treats brightness and chroma apart, and so must the weights."""
-
-_SAMPLES = 100_000
-
-
-_LEVELS = 5
-"""Haar levels; blocks of 2^5 pixels are the coarsest details."""
-_LEAST_SLOPE = 0.3
-"""Pixels with a channel of which less than this share of a change survives clipping are left out."""
-_LEAST_PIXELS = 64
-"""Fewer than this do not carry the fits."""
-_NOISE_FLOOR = 0.0005
-"""Standard deviation added to every band's, image units: half of what rounding to 8 bits leaves."""
-_CLIP = 3.0
-"""Coefficients are clipped at this many standard deviations of their band."""
-_EXPONENT = 0.75
-"""A band is divided by its variance to this power. 1 is right for noise that is independent of the mark, and reads a
-picture of washed colours best; 1/2 is kindest to lossy coders, whose noise is not."""
-_FAINT = 0.5 / 255, 2.5 / 255
-"""Details of the reference, image units, that are as faint as a mark's: strong ones survive where these do not."""
-_LEAST_DETAILS = 50
-"""Fewer of them do not tell how much survives."""
-_DOUBTS = 1.0
-"""Standard errors by which less must survive than everything: noise leaves few details that tell."""
 
 
 def image_cotangent(
@@ -65,12 +44,12 @@ def image_cotangent(
     """
     if reference_image.shape != warped.shape or reference_image.shape[:2] != mask.shape:
         raise InputError(f"shapes differ: {reference_image.shape}, {warped.shape}, mask {mask.shape}")
-    if mask.sum() < _LEAST_PIXELS:
+    if mask.sum() < _CONFIG.least_pixels:
         return np.zeros_like(reference_image, dtype=np.float32)
     reference = np.clip(reference_image, 0.0, 1.0).astype(np.float32)
     toned = fit_colors(reference, warped, mask) if toned is None else toned
-    usable = mask & (toned.slope.min(axis=2) > _LEAST_SLOPE)
-    if usable.sum() < _LEAST_PIXELS:
+    usable = mask & (toned.slope.min(axis=2) > _CONFIG.least_slope)
+    if usable.sum() < _CONFIG.least_pixels:
         return np.zeros_like(reference)
     residual = ((warped - toned.predicted) * usable[..., None]) @ _OPPONENT.T  # (H, W, 3): Y, Cb, Cr
     expected = toned.predicted @ _OPPONENT.T
@@ -92,7 +71,7 @@ def _take_off_shape(residual: Float32, planes: list[Float32], usable: Bool) -> F
         once = _laplacian(plane)
         columns += [gx, gy, once, _laplacian(once)]
     where = np.nonzero(usable.ravel())[0]
-    where = where[:: max(1, len(where) // _SAMPLES)]
+    where = where[:: max(1, len(where) // _CONFIG.samples)]
     design = np.stack([column.ravel()[where] for column in columns], axis=1)  # (P, K)
     solution = robust_regression(design, residual.ravel()[where]).astype(np.float32)
     explained = sum((s * column for s, column in zip(solution, columns, strict=True)), np.float32(0.0))
@@ -107,7 +86,7 @@ def _laplacian(plane: Float32) -> Float32:
 def _coverage(usable: Bool) -> list[Float32]:
     """Per level, the share of each Haar block that is usable."""
     shares, share = [], usable.astype(np.float32)
-    for _ in range(_LEVELS):
+    for _ in range(_CONFIG.levels):
         share = dwt2(share, 1)[0] / 2.0
         shares.append(share)
     return shares
@@ -115,8 +94,8 @@ def _coverage(usable: Bool) -> list[Float32]:
 
 def _whiten(clean: Float32, residual: Float32, expected: Float32, coverage: list[Float32]) -> Float32:
     """W^T D W of a clean plane: D weighs each band by its variance, and by what it shows of the expected picture's."""
-    approx, details = dwt2(clean, _LEVELS)
-    off, known = dwt2(residual, _LEVELS)[1], dwt2(expected, _LEVELS)[1]
+    approx, details = dwt2(clean, _CONFIG.levels)
+    off, known = dwt2(residual, _CONFIG.levels)[1], dwt2(expected, _CONFIG.levels)[1]
     weighted = []
     for *levels, share in zip(details, off, known, coverage, strict=True):
         bands = zip(*levels, strict=True)  # of each direction: what is clean, what is off, what is known
@@ -135,24 +114,24 @@ def _survival(off: npt.NDArray[Any], known: npt.NDArray[Any], share: Float32) ->
 
     `off` is how far the picture is from the reference in that band, `known` the reference.
     """
-    faint = (share > 0.99) & (np.abs(known) > _FAINT[0]) & (np.abs(known) < _FAINT[1])
-    if faint.sum() < _LEAST_DETAILS:
+    faint = (share > 0.99) & (np.abs(known) > _CONFIG.faint[0]) & (np.abs(known) < _CONFIG.faint[1])
+    if faint.sum() < _CONFIG.least_details:
         return 1.0
     error, detail = off[faint].astype(np.float64), known[faint].astype(np.float64)
-    limit = _CLIP * np.sqrt(np.square(error).mean())
+    limit = _CONFIG.clip * np.sqrt(np.square(error).mean())
     error, size = np.clip(error, -limit, limit), float(detail @ detail)
     slope = 1.0 + float(error @ detail) / size
     doubt = np.sqrt(np.square(error).mean() / size)  # of the slope
-    return float(np.clip(slope + _DOUBTS * doubt, 0.0, 1.0))
+    return float(np.clip(slope + _CONFIG.doubts * doubt, 0.0, 1.0))
 
 
 def _weigh(band: npt.NDArray[Any], share: Float32, kept: float = 1.0) -> Float32:
-    """The band times the square of what it keeps of a faint detail, over its variance to the power _EXPONENT."""
+    """The band times the square of what it keeps of a faint detail, over its variance to the power `exponent`."""
     count = max(float(share.sum()), 1.0)
     squares = np.square(band)
     variance = float(squares.sum()) / count
     for _ in range(4):  # outliers must not set the scale they are judged by
-        variance = float(np.minimum(squares, _CLIP**2 * variance).sum()) / count
-    variance += _NOISE_FLOOR**2
-    limit = _CLIP * np.sqrt(variance)
-    return np.asarray(kept**2 * np.clip(band, -limit, limit) / variance**_EXPONENT, dtype=np.float32)
+        variance = float(np.minimum(squares, _CONFIG.clip**2 * variance).sum()) / count
+    variance += _CONFIG.noise_floor**2
+    limit = _CONFIG.clip * np.sqrt(variance)
+    return np.asarray(kept**2 * np.clip(band, -limit, limit) / variance**_CONFIG.exponent, dtype=np.float32)

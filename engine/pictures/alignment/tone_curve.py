@@ -12,20 +12,12 @@ import numpy.typing as npt
 
 from engine.model import Bool, Float32, Float64
 from engine.numerics.tables import look_up
+from engine.pictures.alignment.config import CONFIG
 from engine.pictures.landmarks.keypoints import noise_level
 
 __all__ = ["Toned", "fit_tone", "robust_regression"]
 
-_SAMPLES = 60_000
-_LEAST_NOISE = 0.006
-"""Softness of clipping where a picture has no noise: rounding to 8 bits and what a fit leaves."""
-_CLIPPED = 0.985
-_TABLE = 1024
-_BENT = 0.004
-"""Where a tone curve bends a twentieth of the affine colours by more than this, both are fitted together."""
-_BETTER = 0.8
-"""A curve fitted together with the mixture must miss by this share of what the plain one misses by."""
-_BENT_KNOTS, _BENT_ROUNDS = 65, 3
+_CONFIG = CONFIG.tone
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,32 +56,32 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
     `reference` and `picture` (H, W, 3), 0..1, in register; `mask` (H, W), pixels to fit on.
     """
     where = np.nonzero(mask.ravel())[0]
-    where = where[:: max(1, len(where) // _SAMPLES)]
+    where = where[:: max(1, len(where) // _CONFIG.samples)]
     colors, seen = reference.reshape(-1, 3), picture.reshape(-1, 3)[where]  # (H W, 3), (P, 3)
     design = np.concatenate([colors[where], np.ones((len(where), 1), dtype=np.float32)], axis=1)  # (P, 4)
-    free = (seen < _CLIPPED).all(axis=1) & (seen > 1.0 - _CLIPPED).any(axis=1)
+    free = (seen < _CONFIG.clipped).all(axis=1) & (seen > 1.0 - _CONFIG.clipped).any(axis=1)
     predicted, slope = np.empty_like(reference), np.empty_like(reference)
     for c in range(3):
         affine = robust_regression(design[free], seen[free, c])
         if not affine.any():  # hardly a pixel that is not clipped: take the colours as they are
             affine[c] = 1.0
         linear = (colors @ affine[:3].astype(np.float32) + np.float32(affine[3])).reshape(mask.shape)
-        noise = max(noise_level(np.where(mask, picture[..., c] - linear, 0.0)), _LEAST_NOISE)
+        noise = max(noise_level(np.where(mask, picture[..., c] - linear, 0.0)), _CONFIG.least_noise)
         low, high = float(linear.min()) - 1e-6, float(linear.max()) + 1e-6
-        grid = np.linspace(low, high, _TABLE)
+        grid = np.linspace(low, high, _CONFIG.table)
         value, keep = _clipped_mean(grid, noise)
         level = np.interp(linear.ravel()[where], grid, value)
         curve = _fit_curve(level, seen[:, c], knots)
         turned = np.abs(curve(level) - level)
-        if free.any() and float(np.quantile(turned, 0.95, method="lower")) > _BENT:
+        if free.any() and float(np.quantile(turned, 0.95, method="lower")) > _CONFIG.bent:
             # An affine fit alone takes a strong curve for a mixture of the channels, and no curve can undo that.
             bent = _fit_bent(design[::2], seen[::2, c], c)
             missed = np.abs(seen[free, c] - curve(level[free]))
-            if bent.error < _BETTER * float(np.median(missed)):
+            if bent.error < _CONFIG.better * float(np.median(missed)):
                 shown = bent(colors.reshape(reference.shape))
-                noise = max(noise_level(np.where(mask, picture[..., c] - shown, 0.0)), _LEAST_NOISE)
+                noise = max(noise_level(np.where(mask, picture[..., c] - shown, 0.0)), _CONFIG.least_noise)
                 low, high = float(shown.min()) - 1e-6, float(shown.max()) + 1e-6
-                grid = np.linspace(low, high, _TABLE)
+                grid = np.linspace(low, high, _CONFIG.table)
                 predicted[..., c] = shown
                 slope[..., c] = look_up(
                     shown, low, high, _normal_below((1.0 - grid) / noise) - _normal_below(-grid / noise)
@@ -133,16 +125,16 @@ class _Bent:
 
 def _fit_bent(rows: Float32, seen: Float32, channel: int) -> _Bent:
     """Mixture and curve by turns, starting from the channel as it is; rows (P, 4) are colours and a one."""
-    free = (seen < _CLIPPED) & (seen > 1.0 - _CLIPPED)
+    free = (seen < _CONFIG.clipped) & (seen > 1.0 - _CONFIG.clipped)
     best: _Bent | None = None
     mix: Float64 = np.eye(4)[channel]
-    for _ in range(_BENT_ROUNDS):
+    for _ in range(_CONFIG.bent_rounds):
         x = rows @ mix
         low, high = float(x.min(initial=0.0)) - 1e-6, float(x.max(initial=1.0)) + 1e-6
         # Knots lie dense at the dark end, where gammas are steep.
-        curve = _fit_curve(np.sqrt((x - low) / (high - low)), seen, _BENT_KNOTS, far=True)
-        grid = low + (high - low) * np.linspace(0.0, 1.0, _TABLE) ** 2
-        values = curve(np.linspace(0.0, 1.0, _TABLE))
+        curve = _fit_curve(np.sqrt((x - low) / (high - low)), seen, _CONFIG.bent_knots, far=True)
+        grid = low + (high - low) * np.linspace(0.0, 1.0, _CONFIG.table) ** 2
+        values = curve(np.linspace(0.0, 1.0, _CONFIG.table))
         left = seen - np.interp(x, grid, values)
         error = float(np.median(np.abs(left[free]))) if free.any() else np.inf
         if best is None or error < best.error:
@@ -183,7 +175,8 @@ def _fit_curve(x: Float64, y: Float32, knots: int, *, far: bool = False) -> _Cur
         fitted = correction[cell] * (1 - t) + correction[cell + 1] * t
         residual = y - x - fitted
         # A mean, with outliers pulled in: a median would be biased where noise meets the limit.
-        judged = residual[y > 1.0 - _CLIPPED] if far else residual  # black says nothing about the spread elsewhere
+        # Black says nothing about the spread elsewhere.
+        judged = residual[y > 1.0 - _CONFIG.clipped] if far else residual
         limit = 4.0 * (1.4826 * float(np.median(np.abs(judged))) + 1e-3) if len(judged) else 1.0
         if far and number == 0:
             limit = np.inf

@@ -2,7 +2,7 @@
 with its tone, which is what happened to the colours of a picture and where.
 
 picture(x, y) = gain(x, y) reference(x, y), the gain made of few smooth functions: polynomials over the picture and
-waves down its rows. They are a few dozen numbers beside thousands of chips, and depend on no chip.
+waves down its rows. They are a few dozen numbers, against thousands of chips, and depend on no chip.
 """
 
 from functools import lru_cache
@@ -10,32 +10,20 @@ from functools import lru_cache
 import numpy as np
 
 from engine.model import Bool, Float32
+from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_curve import Toned, fit_tone, robust_regression
 from engine.pictures.landmarks.keypoints import LUMA
 
 __all__ = ["fit_colors", "fit_light", "predict_brightness"]
 
-UNEVEN, STILL_UNEVEN = 0.08, 0.02
-"""Light is uneven when its gain takes this share off the residual's median; once it is, less is worth another round."""
-LIMITS = 0.2, 5.0
-"""Of the gain."""
-_DEGREE = 4
-_WAVES = 20
-"""Half waves down the rows: ten bands of flicker."""
-_SAMPLES, _CURVE_SAMPLES = 10_000, 60_000
-"""Pixels from which the gain, and a curve of brightness, are fitted."""
-_CLIPPED, _BLACK = 0.985, 0.02
-"""Brighter pixels of the picture and darker ones of the prediction tell nothing of the gain."""
-_ORDERS = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i) if i + j > 0]
-"""Polynomials down and across, of total degree 1 to _DEGREE."""
-TONE_KNOTS = 9
-"""Of a channel's tone curve."""
-_CURVE_BINS = 32
-_COLOR_ROUNDS, _CURVE_ROUNDS = 4, 3
-"""Turns of tone and light at most: with full colours, and with brightness alone."""
+_CONFIG = CONFIG.light
+_ORDERS = [(i, j) for i in range(_CONFIG.degree + 1) for j in range(_CONFIG.degree + 1 - i) if i + j > 0]
+"""Polynomials down and across, of total degree 1 to `degree`."""
 
 
-def fit_light(predicted: Float32, picture: Float32, mask: Bool, least_explained: float = UNEVEN) -> Float32 | None:
+def fit_light(
+    predicted: Float32, picture: Float32, mask: Bool, least_explained: float = _CONFIG.uneven
+) -> Float32 | None:
     """Smooth gain (H, W) of a picture's brightness over what was predicted: the reference, toned like it; both (H, W),
     0..1.
 
@@ -43,8 +31,8 @@ def fit_light(predicted: Float32, picture: Float32, mask: Bool, least_explained:
     little is seen in `mask` to tell.
     """
     height, width = predicted.shape
-    where = np.flatnonzero(mask & (picture < _CLIPPED) & (predicted > _BLACK))
-    where = where[:: max(1, len(where) // _SAMPLES)]
+    where = np.flatnonzero(mask & (picture < _CONFIG.clipped) & (predicted > _CONFIG.black))
+    where = where[:: max(1, len(where) // _CONFIG.samples)]
     across, down, waves = _functions(height, width)
     rows, columns = np.divmod(where, width)
     polynomials = [down[rows, i] * across[columns, j] for i, j in _ORDERS]
@@ -61,21 +49,21 @@ def fit_light(predicted: Float32, picture: Float32, mask: Bool, least_explained:
     left = missing - design @ solution
     if np.median(np.abs(left)) > (1.0 - least_explained) * np.median(np.abs(missing)):
         return None
-    weights = np.zeros((_DEGREE + 1, _DEGREE + 1), dtype=np.float32)
+    weights = np.zeros((_CONFIG.degree + 1, _CONFIG.degree + 1), dtype=np.float32)
     for (i, j), value in zip(_ORDERS, solution, strict=False):
         weights[i, j] = value
     uneven = down @ weights @ across.T + (waves @ solution[len(_ORDERS) : count])[:, None]
     # Over a small object the functions may add up to a constant, which belongs to the tone: it would run away.
     uneven -= np.average(uneven.ravel()[where], weights=expected)
-    return np.clip(1.0 + uneven, *LIMITS).astype(np.float32)
+    return np.clip(1.0 + uneven, *_CONFIG.gains).astype(np.float32)
 
 
 @lru_cache(maxsize=8)
 def _functions(height: int, width: int) -> tuple[Float32, Float32, Float32]:
     """Legendre polynomials across (W, D + 1) and down (H, D + 1), and cosines down (H, waves)."""
     x, y = ((2.0 * np.arange(n) + 1.0) / n - 1.0 for n in (width, height))
-    across, down = (np.polynomial.legendre.legvander(axis, _DEGREE) for axis in (x, y))
-    waves = np.cos(0.5 * np.pi * (y[:, None] + 1.0) * np.arange(1, _WAVES + 1))
+    across, down = (np.polynomial.legendre.legvander(axis, _CONFIG.degree) for axis in (x, y))
+    waves = np.cos(0.5 * np.pi * (y[:, None] + 1.0) * np.arange(1, _CONFIG.waves + 1))
     return across.astype(np.float32), down.astype(np.float32), waves.astype(np.float32)
 
 
@@ -85,15 +73,15 @@ def fit_colors(reference: Float32, picture: Float32, mask: Bool) -> Toned:
     `reference` and `picture` (H, W, 3), 0..1, in register; `mask` (H, W), pixels to fit on. The slope returned is that
     of the tone times the gain of the light.
     """
-    toned = fit_tone(reference, picture, mask, TONE_KNOTS)
+    toned = fit_tone(reference, picture, mask, _CONFIG.tone_knots)
     gain = np.ones(mask.shape, dtype=np.float32)
-    for number in range(_COLOR_ROUNDS):
-        least = STILL_UNEVEN if number else UNEVEN
+    for number in range(_CONFIG.color_rounds):
+        least = _CONFIG.still_uneven if number else _CONFIG.uneven
         light = fit_light(toned.predicted @ LUMA, picture @ LUMA, mask, least)
         if light is None:
             break
         gain = gain * light
-        toned = fit_tone(reference * gain[..., None], picture, mask, TONE_KNOTS)
+        toned = fit_tone(reference * gain[..., None], picture, mask, _CONFIG.tone_knots)
     return Toned(toned.predicted, toned.slope * gain[..., None])
 
 
@@ -105,8 +93,8 @@ def predict_brightness(reference: Float32, picture: Float32, inside: Bool) -> Fl
     """
     lit = reference
     predicted = _through_curve(lit, picture, inside)
-    for number in range(_CURVE_ROUNDS):
-        light = fit_light(predicted, picture, inside, STILL_UNEVEN if number else UNEVEN)
+    for number in range(_CONFIG.curve_rounds):
+        light = fit_light(predicted, picture, inside, _CONFIG.still_uneven if number else _CONFIG.uneven)
         if light is None:
             break
         lit = lit * light
@@ -117,12 +105,12 @@ def predict_brightness(reference: Float32, picture: Float32, inside: Bool) -> Fl
 def _through_curve(lit: Float32, picture: Float32, inside: Bool) -> Float32:
     """Medians of the picture over bins of equally many pixels, joined by lines, never falling."""
     where = np.flatnonzero(inside)
-    where = where[:: max(1, len(where) // _CURVE_SAMPLES)]
-    if len(where) < _CURVE_BINS:
+    where = where[:: max(1, len(where) // _CONFIG.curve_samples)]
+    if len(where) < _CONFIG.curve_bins:
         return lit
     x, y = lit.ravel()[where], picture.ravel()[where]
     order = np.argsort(x, kind="stable")
-    parts = np.array_split(order, _CURVE_BINS)
+    parts = np.array_split(order, _CONFIG.curve_bins)
     centers = np.array([np.median(x[part]) for part in parts])
     heights = np.maximum.accumulate([np.median(y[part]) for part in parts])
     # Beyond the outermost bins the line through the last two goes on.

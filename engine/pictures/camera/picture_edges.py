@@ -25,7 +25,7 @@ REACH, NEAR_REACH = 2, 1
 LARGER = np.float32(0.3)
 """Power of the size by which a find counts more: a small view finds edges that fit in any large one."""
 COLORED = 1.0
-"""What the colours' correlation counts, by Fisher's transform, beside the edges' standard deviations: of 32 viewers'
+"""Weight of the colors' correlation, by Fisher's transform, against the edges' standard deviations: of 32 viewers'
 pictures 1 and 2 rank the right view alike, 0 ranks it lower, 3 and more lose what a tone curve changed."""
 _MOST_ALIKE = 0.99
 _LEAST_INSIDE = 20  # points of a view in the picture from which their colours tell something

@@ -19,9 +19,10 @@ from engine.kernels.jit import parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
-from engine.pictures.alignment.background import MARGIN, fill_background
+from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.brightness_fit import robust_line, robust_scale
+from engine.pictures.alignment.config import CONFIG as ALIGNMENT
 from engine.pictures.alignment.detail import compare_detail, correlation, uncovered
 from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
@@ -259,7 +260,7 @@ class Acceleration:
 
 def _behind(picture: Float32, alpha: Float32, step: float) -> Float32:
     """(H, W) what lies behind the model; nothing where it cannot be seen."""
-    margin = int(np.clip(2.0 * step, MARGIN, FAR_MARGIN)) if np.isfinite(step) else FAR_MARGIN
+    margin = int(np.clip(2.0 * step, ALIGNMENT.background.margin, FAR_MARGIN)) if np.isfinite(step) else FAR_MARGIN
     filled = fill_background(picture, alpha, margin)
     return np.zeros_like(picture) if filled is None else filled
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Bool, Float32, Float64
 from engine.pictures.jpeg.block_transform import transform
+from engine.pictures.jpeg.config import CONFIG
 from engine.pictures.landmarks.keypoints import LUMA
 
 __all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
@@ -35,22 +36,10 @@ STANDARD_LUMA_TABLE = np.array(
 )
 """ITU-T T.81, table K.1: what libjpeg scales by quality, and so nearly every encoder."""
 
-LEAST_STEP = 3.0
-"""Steps smaller than this hide in the rounding of the decoded picture to 8 bits."""
+LEAST_STEP = CONFIG.least_step
 
-LOOKED_AT = 64
-"""Rows of a picture that tell whether it was decoded from 8 bits."""
 
-SAMPLED = 600
-"""Blocks by which places are ranked: a few hundred tell them apart at quality 92."""
-EMPTY = 0.75
-"""A coefficient, grey levels, below which a coder may have stored none: 8 bits round it by a third of that."""
-ASKED = 3
-"""Places, the likeliest first, whose coefficients are held against every table."""
-BLOCKS, COARSEST = 1500, 33
-"""Blocks whose coefficients are held against a table, and the coefficient from which on they are not."""
-QUALITIES = range(2, 93)
-"""Of libjpeg: those that leave a trace."""
+_QUALITIES = range(CONFIG.qualities[0], CONFIG.qualities[1] + 1)
 
 
 @dataclass(frozen=True)
@@ -107,7 +96,7 @@ def find_grid(picture: Float32) -> JpegGrid | None:
     luma = 255.0 * picture @ LUMA
     places = [(top, left) for top in range(8) for left in range(8) if top or left]
     likely = sorted(places, key=lambda place: -_emptiness(luma[place[0] :, place[1] :]))
-    for top, left in likely[:ASKED]:
+    for top, left in likely[: CONFIG.places]:
         quality = find_quality(picture[top:, left:])
         if quality is not None:
             return JpegGrid(quality, top, left)
@@ -118,18 +107,18 @@ def _emptiness(luma: Float32 | Float64) -> float:
     """Share of the coefficients of some blocks in which a coder may have stored nothing, of blocks that show anything:
     on a wrong grid what is next to a block's edge fills them."""
     blocks = tiles(luma).reshape(-1, 8, 8)
-    blocks = blocks[:: max(1, len(blocks) // SAMPLED)]
-    blocks = blocks[np.ptp(blocks, axis=(1, 2)) > 4.0 * EMPTY]
+    blocks = blocks[:: max(1, len(blocks) // CONFIG.sampled)]
+    blocks = blocks[np.ptp(blocks, axis=(1, 2)) > 4.0 * CONFIG.empty]
     if not len(blocks):
         return 0.0
-    return float((np.abs(transform(blocks)) < EMPTY).mean())
+    return float((np.abs(transform(blocks)) < CONFIG.empty).mean())
 
 
 def find_quality(picture: Float32) -> int | None:
     """libjpeg quality a picture (H, W, 3), 0..1, was saved at, judged by how its coefficients sit on a table's
     multiples; its blocks begin at its corner.
 
-    None where no quality from 2 to 92 explains the coefficients (never compressed, resampled since, or compressed too
+    None where no quality in `qualities` explains the coefficients (never compressed, resampled since, or compressed too
     lightly to matter).
     """
     if not _is_decoded(picture):
@@ -137,15 +126,15 @@ def find_quality(picture: Float32) -> int | None:
     chosen = np.flatnonzero(unclipped(picture).ravel())  # clipping moves coefficients off their multiples
     if len(chosen) < 40:
         return None
-    chosen = chosen[:: max(1, len(chosen) // BLOCKS)]
+    chosen = chosen[:: max(1, len(chosen) // CONFIG.blocks)]
     blocks = tiles(255.0 * picture @ LUMA)
     flat = transform(blocks[np.divmod(chosen, blocks.shape[1])])
-    coefficients = np.ascontiguousarray(flat.reshape(len(chosen), 64)[:, 1:COARSEST].T)
-    tables = np.stack([luma_table(quality).reshape(-1)[1:COARSEST] for quality in QUALITIES])
+    coefficients = np.ascontiguousarray(flat.reshape(len(chosen), 64)[:, 1 : CONFIG.coarsest].T)
+    tables = np.stack([luma_table(quality).reshape(-1)[1 : CONFIG.coarsest] for quality in _QUALITIES])
     fits = np.empty(len(tables))
     _fit_tables(coefficients, tables, fits)
     best, least = None, 0.5
-    for quality, fit in zip(QUALITIES, fits, strict=True):
+    for quality, fit in zip(_QUALITIES, fits, strict=True):
         # The steps of a finer table may divide the true ones: it must fit clearly better than a coarser one.
         if fit < 0.7 * least:
             best, least = quality, float(fit)
@@ -155,7 +144,7 @@ def find_quality(picture: Float32) -> int | None:
 @parallel_kernel
 def _fit_tables(coefficients, tables, fits, call):
     """How far coefficients (K, B) are off the multiples of tables (Q, K), in what they would be off any others: `fits`
-    (Q,), infinite where too few tell."""
+    (Q,), infinite where too few coefficients say something."""
     for q in share_of(tables.shape[0], call):
         off = expected = 0.0
         used = busy = 0
@@ -179,5 +168,5 @@ def _fit_tables(coefficients, tables, fits, call):
 
 def _is_decoded(picture: Float32) -> bool:
     """Whether all values are those of 8 bits, as any decoder writes them: a render or what was resampled is not."""
-    levels = 255.0 * picture[:: max(1, len(picture) // LOOKED_AT)]
+    levels = 255.0 * picture[:: max(1, len(picture) // CONFIG.decoded_rows)]
     return bool(np.abs(levels - np.rint(levels)).max() < 0.01)

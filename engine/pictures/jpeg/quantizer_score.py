@@ -13,26 +13,18 @@ from engine.model import Bool, Float32, Float64
 from engine.pictures.alignment.uneven_light import fit_colors
 from engine.pictures.jpeg.block_grid import blocks_of, luma_table, tiles, unclipped
 from engine.pictures.jpeg.block_transform import inverse_transform, transform
+from engine.pictures.jpeg.config import CONFIG
 from engine.pictures.landmarks.keypoints import LUMA
-
-_BETTER = 0.7
-"""Tone and uneven light must leave this share of what gain and offset leave."""
-
-NEARBY = 3
-"""Blocks a side over which a mark's strength is taken to be the same."""
-
-ROUNDING = 0.5
-"""Standard deviation of a coefficient's error from 8-bit rounding before and after coding, grey levels."""
 
 
 def block_spread(pattern: Float32) -> Float64:
     """(by, bx, 8, 8) standard deviation of a mark-like pattern (H, W, 3) in each luma coefficient, grey levels.
 
-    The spectrum is the whole picture's, its strength that of NEARBY blocks: a mark is loud here and silent there.
+    The spectrum is the whole picture's, its strength that of `nearby` blocks: a mark is loud here and silent there.
     """
     power = np.square(blocks_of(255.0 * pattern @ LUMA + 128.0))
     local = power.mean(axis=(2, 3))
-    loudness = np.maximum(scipy.ndimage.uniform_filter(local, NEARBY), 0.0) / max(float(local.mean()), 1e-30)
+    loudness = np.maximum(scipy.ndimage.uniform_filter(local, CONFIG.nearby), 0.0) / max(float(local.mean()), 1e-30)
     return np.asarray(np.sqrt(power.mean(axis=(0, 1)) * loudness[:, :, None, None]))
 
 
@@ -48,7 +40,7 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     observed = blocks_of(255.0 * picture @ LUMA)
     steps = luma_table(quality)
     known = blocks_of(255.0 * reference @ LUMA)
-    total = np.sqrt(spread**2 + ROUNDING**2 + _mismatch(observed, known, steps) ** 2)
+    total = np.sqrt(spread**2 + CONFIG.rounding**2 + _mismatch(observed, known, steps) ** 2)
     whole = np.asarray(tiles(mask).all(axis=(2, 3)))  # (by, bx)
     score = np.zeros_like(known)
     score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
@@ -123,7 +115,7 @@ def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
         return out
     full = fit_colors(reference, picture, mask).predicted
     missed, left = (_missed(image, picture, use) for image in (out, full))
-    return full if left < _BETTER * missed else out
+    return full if left < CONFIG.better * missed else out
 
 
 def _missed(predicted: Float32, picture: Float32, use: Bool) -> float:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from engine.model import Float32, Float64, Int64
 from engine.numerics.resampling import smooth
 from engine.numerics.wavelet import dwt2
+from engine.pictures.landmarks.config import CONFIG
 
 __all__ = ["LUMA", "Keypoints", "detect_keypoints", "luma", "match_within", "noise_level"]
 
@@ -23,9 +24,6 @@ LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """Weights of R, G, B in brightness (BT.601, as JPEG)."""
 
 _LENGTH = 512.0
-_NOISE_TO_BLUR = 20.0
-"""Blur before detection, in pixels per unit of noise: noise of 0.1 then falls below SIFT's contrast limit."""
-_LARGEST_BLUR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ def detect_keypoints(gray: Float32, count: int, mask: npt.NDArray[Any] | None = 
 
     noise = noise_level(gray)
     if noise > 0.02:
-        gray = smooth(gray, min(_LARGEST_BLUR, _NOISE_TO_BLUR * noise))
+        gray = smooth(gray, min(CONFIG.largest_blur, CONFIG.noise_to_blur * noise))
     low, high = float(gray.min()), float(np.quantile(gray[::4, ::4], 0.995)) if gray.size else 0.0
     stretched = np.clip((gray - low) / max(high - low, 1e-3), 0.0, 1.0)
     # Without precise upscaling every point lies a quarter of a pixel too far right and down.

@@ -14,16 +14,13 @@ from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Camera, Float32, Float64, Int64
 from engine.numerics.tables import first_at_least
 from engine.pictures.camera.camera_motion import project
+from engine.pictures.landmarks.config import CONFIG
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 
 __all__ = ["match_landmarks", "match_projected"]
 
-_CHUNK = 256
-"""Keypoints matched at a time: 256 rows of 20,000 distances are 20 MB."""
 _UNLIKE = 1 << 30  # a distance, squared, that no two descriptors have
-MOST_UNLIKE = 0.55 * 512.0
-"""Largest distance of descriptors (of length 512) of a landmark and what lies where it projects."""
 
 
 @inlined
@@ -111,8 +108,8 @@ def match_landmarks(
     first, rival = np.empty(count, dtype=np.float32), np.empty(count, dtype=np.float32)
     in_view = np.empty((count, len(starts) - 1, 3))
     query: Float32 = keypoints.descriptors.astype(np.float32)
-    for low in range(0, count, _CHUNK):
-        part = slice(low, low + _CHUNK)
+    for low in range(0, count, CONFIG.chunk):
+        part = slice(low, low + CONFIG.chunk)
         products = query[part] @ target.T  # exact: sums of integers below 2^24
         _rank(
             products, squares, points, starts, np.float32(radius), best[part], first[part], rival[part], in_view[part]
@@ -150,5 +147,5 @@ def match_projected(keypoints: Keypoints, landmarks: Landmarks, camera: Camera, 
         best,
         distance,
     )
-    alike = np.nonzero((best >= 0) & (distance < MOST_UNLIKE**2))[0]
+    alike = np.nonzero((best >= 0) & (distance < CONFIG.most_unlike**2))[0]
     return alike, inside[best[alike]].astype(np.int64)

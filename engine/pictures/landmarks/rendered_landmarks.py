@@ -7,24 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.pictures.landmarks.config import CONFIG
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render_depth
 
-__all__ = ["PER_VIEW", "lift", "make_landmarks"]
-
-PER_VIEW = 450
-"""Most landmarks of one view: 48 views of 144 bytes each make 3.1 MB."""
-DETECTED = 1350
-"""Keypoints detected in a view, more than are wanted: those on edges of depth and on haze are thrown away."""
-LEAST_ALPHA = 0.7
-"""A pixel this opaque shows a surface, and its depth is that surface's."""
-DEPTH_EDGE = 0.05
-"""Largest relative spread of depth in the 5 x 5 pixels around a landmark."""
-AHEAD = 2
-"""Pictures drawn before they are searched: 6 MB each."""
-MARGIN = 8
-"""Pixels kept around what is visible when a render is cut before detection."""
+__all__ = ["lift", "make_landmarks"]
 
 
 def make_landmarks(
@@ -32,7 +20,7 @@ def make_landmarks(
     cameras: Sequence[Camera],
     advance: Callable[[float], None] | None = None,
     *,
-    most: int = PER_VIEW,
+    most: int = CONFIG.per_view,
 ) -> Landmarks:
     """Detect landmarks in renders of the unmarked reference, in the order of the cameras, strongest first within each.
 
@@ -43,8 +31,8 @@ def make_landmarks(
     with ThreadPoolExecutor(max_workers=1) as detector:  # while one picture is searched, the next is drawn
         for number, camera in enumerate(cameras):
             image, alpha, depth = render_depth(model, camera)
-            if number >= AHEAD:
-                found[number - AHEAD].result()
+            if number >= CONFIG.ahead:
+                found[number - CONFIG.ahead].result()
             found.append(detector.submit(_detect, image, alpha, depth, camera, most))
             if advance is not None:
                 advance((number + 1) / len(cameras))
@@ -59,12 +47,12 @@ def _detect(
     image: Float32, alpha: Float32, depth: Float32, camera: Camera, most: int
 ) -> tuple[Float32, npt.NDArray[np.uint8]]:
     """Points (P, 3) and descriptors (P, 128) of one render."""
-    top, bottom, left, right = _bounds(alpha > LEAST_ALPHA)
+    top, bottom, left, right = _bounds(alpha > CONFIG.least_alpha)
     gray = luma(image[top:bottom, left:right])
     if min(gray.shape) < 16:
         return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
     surface = _surface(alpha, depth)  # keypoints elsewhere are not described
-    keypoints = detect_keypoints(gray, DETECTED, surface[top:bottom, left:right])
+    keypoints = detect_keypoints(gray, CONFIG.detected, surface[top:bottom, left:right])
     pixels = keypoints.points + np.array([left, top])
     column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)
     row = np.clip(pixels[:, 1].astype(np.int64), 0, camera.height - 1)
@@ -79,10 +67,10 @@ def _bounds(visible: Bool) -> tuple[int, int, int, int]:
     if not len(rows):
         return 0, 0, 0, 0
     return (
-        max(int(rows[0]) - MARGIN, 0),
-        min(int(rows[-1]) + MARGIN + 1, visible.shape[0]),
-        max(int(columns[0]) - MARGIN, 0),
-        min(int(columns[-1]) + MARGIN + 1, visible.shape[1]),
+        max(int(rows[0]) - CONFIG.margin, 0),
+        min(int(rows[-1]) + CONFIG.margin + 1, visible.shape[0]),
+        max(int(columns[0]) - CONFIG.margin, 0),
+        min(int(columns[-1]) + CONFIG.margin + 1, visible.shape[1]),
     )
 
 
@@ -92,8 +80,8 @@ def _surface(alpha: Float32, depth: Float32) -> Bool:
 
     window = np.ones((5, 5), dtype=np.uint8)
     farthest, nearest = cv2.dilate(depth, window), cv2.erode(depth, window)
-    opaque = cv2.erode(alpha, window) > LEAST_ALPHA
-    return np.asarray(opaque & (farthest - nearest < DEPTH_EDGE * depth))
+    opaque = cv2.erode(alpha, window) > CONFIG.least_alpha
+    return np.asarray(opaque & (farthest - nearest < CONFIG.depth_edge * depth))
 
 
 def lift(pixels: Float64, depth: Float64, camera: Camera) -> Float64:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from engine.errors import InputError
-from engine.flows.embed.copy_mark import DRAWS as PLANS
+from engine.flows.embed.config import CONFIG
 from engine.flows.records.opened_record import open_record
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import DRAWS
@@ -161,7 +161,7 @@ def house(tmp_path: Path, stamps: Stamps) -> Iterator[House]:
 def test_copies_are_drawn_for_once_and_claim_at_chance_rate(house: House, stamps: Stamps) -> None:
     before, rows = stamps.given, [house.embed("a")]
     calls = stamps.given
-    assert before < calls <= before + PLANS, "one for each plan"
+    assert before < calls <= before + CONFIG.strength.draws, "one for each plan"
     rows.append(house.embed("b"))
     assert stamps.given == calls
     opened = [open_record(house.service.blobs.read(row.record_sha256), KEY) for row in rows]

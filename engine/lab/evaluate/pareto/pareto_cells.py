@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from engine.errors import CapacityError
-from engine.flows.embed.auto_profile import VIEW_SIZE, Rehearsal
+from engine.flows.embed.auto_profile import Rehearsal
+from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import whole_displacements
 from engine.flows.embed.delivery import deliver
 from engine.flows.embed.embedding import Embedding, embed
@@ -201,7 +202,7 @@ def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: boo
 
 def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
     """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
-    small = replace(config, view_size=VIEW_SIZE)
+    small = replace(config, view_size=CONFIG.auto.view_size)
     whole = replace(small, prune=replace(small.prune, budget_db=None))
     ground = lay_groundwork(model, key, original_sha256, whole)
     return Rehearsing(deliver(ground, whole, Clock()), None).at(whole)

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from engine.flows.embed.auto_profile import SLACK_DB
+from engine.flows.embed.config import CONFIG
 from engine.lab.evaluate.intervals import bootstrap, share_interval
 from engine.lab.evaluate.pareto.pareto_charts import (
     draw_bytes_and_seconds,
@@ -31,7 +31,7 @@ from engine.watermark.statistics import CHANCE_RATE, z_threshold
 WORK = "engine.lab.evaluate.pareto.pareto_cells:measure_point"
 MARGIN = 1.5
 """Times the z of a claim at 1e-9: what a recommended setting keeps after the worst attack."""
-LEAST_DB = 47.0 - SLACK_DB
+LEAST_DB = 47.0 - CONFIG.auto.slack_db
 """In unseen views: a mark at 45 dB is invisible."""
 BALANCED_BAR, FAST_BAR, VERIFY_BAR = 45.0, 15.0, 3.0
 """Seconds, for 500,000 Gaussians on two cores."""

@@ -20,7 +20,7 @@ from engine.lab.sim.edits.pieces import Pieces, register_pieces
 from engine.model import SH_C0, Bool, Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
 from engine.registration.matching import DC_CLIP
-from engine.watermark.layout import MARK_SCALE
+from engine.watermark.config import CONFIG
 from engine.watermark.model_evidence import remove_affine_color
 
 LINKS = 8  # neighbors by which Gaussians of a patch hang together
@@ -130,7 +130,7 @@ ROUNDS = 3  # times tint and mark are fitted in turn; they hardly have anything 
 MOST_LEFT = 1.5  # largest factor of the mark that is believed
 BORDER = 0.25  # share of a Gaussian's neighbors in a patch from which it lies next to it
 
-FINEST = 0.1 * MARK_SCALE
+FINEST = 0.1 * CONFIG.planning.mark_scale
 """Deviation below which residuals are not believed, SH units: references are rounded, files more so."""
 
 LEAST_REGION = 24  # Gaussians below which a patch of changes is no region
@@ -165,7 +165,9 @@ class EditMap:
         return bool(self.pieces.placements)
 
 
-def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MARK_SCALE, seed: int = 0) -> EditMap:
+def map_edits(
+    suspect: GaussianModel, opened: OpenedRecord, *, least: float = CONFIG.planning.mark_scale, seed: int = 0
+) -> EditMap:
     """Find what was edited in a suspect since the asset was marked.
 
     A global change of tint or exposure is no edit; nor is a similarity of the whole. `least` is the smallest color
@@ -262,8 +264,8 @@ def _share(shown: Float64, mark: Float64, trust: Float64) -> float:
 
 def _saturated(expected: Float64, shown: npt.NDArray[np.float32]) -> Bool:
     """(n, 3) channels that a format without colors beyond 0 and 1 has clipped, there and here alike."""
-    edge = DC_CLIP - MARK_SCALE
-    clipped = np.abs(np.abs(shown) - DC_CLIP) < MARK_SCALE
+    edge = DC_CLIP - CONFIG.planning.mark_scale
+    clipped = np.abs(np.abs(shown) - DC_CLIP) < CONFIG.planning.mark_scale
     return np.asarray(clipped & (np.abs(expected) > edge) & (expected * shown > 0))
 
 

@@ -13,10 +13,11 @@ from engine.flows.verify.suspect_evidence import derivation_of_model, read_gauss
 from engine.lab.sim.edits.objects import FlatScene
 from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.pieces import MOST_PIECES, RIGID
+from engine.registration.pieces import RIGID
 from engine.registration.pieces import register_pieces as register_each
-from engine.registration.registration_search import LEAST_REST, Registration, register
+from engine.registration.registration_search import Registration, register
 from engine.watermark.claim import Claim
 
 
@@ -34,7 +35,7 @@ class Pieces:
 
 
 def register_pieces(
-    reference: GaussianModel, suspect: GaussianModel, *, most: int = MOST_PIECES, seed: int = 0
+    reference: GaussianModel, suspect: GaussianModel, *, most: int = CONFIG.pieces.most, seed: int = 0
 ) -> Pieces:
     """At most so many pieces of the asset in one suspect, see `registration.pieces`."""
     each = register_each(reference, suspect, most=most, seed=seed)
@@ -131,7 +132,7 @@ def verify_objects(
                 ObjectFinding(name, instance, claim, rows, *shares, placement, found.mirrored, low, high, objects)
             )
             left = left[found.matches < 0]
-            if not found.found or len(left) < LEAST_REST:
+            if not found.found or len(left) < CONFIG.least_rest:
                 break
     return findings
 

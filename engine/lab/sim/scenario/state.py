@@ -11,7 +11,8 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.views.camera_rig import FIELD_OF_VIEW, UP, Extent, direction
+from engine.flows.views.camera_rig import UP, Extent, direction
+from engine.flows.views.config import CONFIG
 from engine.lab.sim.attack_cost import Cost
 from engine.lab.sim.edits.edit import EditTrack
 from engine.lab.sim.model_placement import join
@@ -173,7 +174,7 @@ def step(kinds: dict[str, StepKind], word: str, summary: str) -> Callable[[S], S
 def viewpoint(extent: Extent, azimuth: float, elevation: float, width: int, height: int) -> Camera:
     """Camera on an orbit around a scene, or in the middle of a room looking out; angles in degrees."""
     toward = direction(np.radians(azimuth), np.radians(elevation))
-    focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+    focal = width / (2.0 * np.tan(CONFIG.rig.field_of_view / 2.0))
     if extent.is_room:
         return look_at(extent.center, extent.center + extent.radius * toward, UP, focal, width, height)
     away = MARGIN * extent.radius / np.sin(np.arctan(min(width, height) / (2.0 * focal)))

@@ -1,0 +1,51 @@
+"""Tuned constants of a verification, frozen; what users set is in `decision.VerifyConfig` (DESIGN 4.9)."""
+
+import math
+from dataclasses import dataclass, field
+
+__all__ = ["CONFIG", "VerifyConstants"]
+
+
+@dataclass(frozen=True)
+class AppearanceConfig:
+    """A suspect that looks like the asset, but shares no Gaussian with it (`appearance_search`)."""
+
+    view_size: tuple[int, int] = (640, 480)  # of a render, pixels: as the landmarks were made
+    views: int = 6  # with one side up; then the model is turned over and tried again
+    enough: int = 6  # sightings that agree with each other after which no further view is rendered,
+    fair: int = 3  # or no further side turned up
+    least: int = 2  # sightings that must agree for the place to be known
+    most_zoomed: float = 0.1  # log ratio of found and true focal length beyond which a sighting is wrong
+    same_turn: float = math.radians(3.0)  # between sightings of one place, radians
+    same_place: float = 0.05  # between them, in the distance to what they show
+
+
+@dataclass(frozen=True)
+class EvidenceConfig:
+    """What a suspect says (`suspect_evidence`)."""
+
+    carried: int = 2  # times that a camera is carried to a picture: the first shows what alignment elsewhere missed
+    # Blurs that turning or shrinking a picture may have left in it, pixels: bilinear turns come to 0.45
+    soft: tuple[float, ...] = (0.35, 0.45, 0.55)
+    derived_least: float = 0.02  # share of the reference to be found before a suspect is called derived from it
+    sample: int = 50_000  # matched Gaussians on which the exactness is measured
+    # Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
+    # enough, and soon
+    render_size: int = 512
+    like_mass: float = 0.5  # share of the heaviest mass from which a duplicate counts in full: halves differ so much
+    refinements: int = 12  # renders at most to refine a view's camera, as `find_camera` does
+    refined: float = 0.005  # step that ends it, pixels
+    edge_views: int = 64  # in which a picture without keypoints is sought
+    edge_size: tuple[int, int] = (640, 480)  # of these, pixels
+
+
+@dataclass(frozen=True)
+class VerifyConstants:
+    """The stages of a verification."""
+
+    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
+
+
+CONFIG = VerifyConstants()
+"""What verifications run with."""
