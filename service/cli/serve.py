@@ -163,11 +163,7 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
                 f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
             )
         _hand_over(console, token, settings.data_dir / "admin.key")
-        console.note(
-            f"  your name    is {FIRST_TENANT!r} in claims: mark3dgs tenant {FIRST_TENANT} 'WHAT PEOPLE CALL YOU'"
-        )
-        if not settings.public_url:
-            console.note("  address      none in claims: set MARK3DGS_PUBLIC_URL before you hand one out")
+        console.note(f"  your name    is {FIRST_TENANT!r} in claims until you enter one on the page")
     return settings, service
 
 
