@@ -3,7 +3,7 @@ import { getJson, postOnce } from "./api.js";
 import { assetView } from "./asset.js";
 import { $, fill, focusOn, only } from "./dom.js";
 import { dropZone } from "./drop.js";
-import { listKeys, startKeys } from "./keys.js";
+import { chosenKey, listKeys, startKeys } from "./keys.js";
 import { showProblem } from "./problem.js";
 import { Cancelled, Progress } from "./progress.js";
 import { assetName } from "./words.js";
@@ -26,8 +26,8 @@ export function startEmbed() {
     intro.hidden = false;
   };
 
-  const run = async () => {
-    const body = request();
+  const run = async (key) => {
+    const body = request(key);
     only(place, form, place, result);
     const running = new Progress(place, "Marking the model");
     progress = running;
@@ -53,14 +53,11 @@ export function startEmbed() {
     }
   };
 
-  form.addEventListener("submit", (event) => {
+  form.addEventListener("submit", async (event) => {
     event.preventDefault();
     fill(problem);
-    if ($("#mark-key").disabled || !$("#mark-key").value) {
-      showProblem(problem, { title: "No owner key selected", detail: "Create an owner key, or go back and choose one." });
-      return;
-    }
-    run();
+    const key = await chosenKey();
+    if (key !== undefined) run(key);
   });
   return {
     enter: () => {
@@ -77,12 +74,12 @@ export function startEmbed() {
 }
 
 /** What the form asks for; what was left empty is left to the service. */
-function request() {
+function request(key) {
   const value = (name) => $(`#mark-${name}`).value.trim();
   const number = (name) => (value(name) ? Number(value(name)) : null);
   const message = value("message").toLowerCase() || null;
   return {
-    key_id: value("key"),
+    key_id: key || null,
     message,
     bits: message ? null : Number(value("bits")),
     profile: $("input[name=profile]:checked").value,

@@ -7,6 +7,7 @@ import { refusal } from "./embed.js";
 import { pager, whenTyped } from "./pages.js";
 import { showProblem } from "./problem.js";
 import { Cancelled, Progress } from "./progress.js";
+import { may } from "./session.js";
 import { assetName } from "./words.js";
 
 const PICTURE = /\.(png|jpe?g|webp|avif|bmp|gif|tiff?)$/i;
@@ -67,7 +68,8 @@ export function startVerify() {
   });
   return {
     enter: () => {
-      if (!form.hidden) listAssets();
+      $("#check-which").hidden = !may("read");
+      if (!form.hidden && may("read")) listAssets();
     },
     leave: () => {
       progress?.cancel();
