@@ -9,7 +9,7 @@ import { when } from "./words.js";
 
 const SCOPES = {
   embed: "Mark models, and fetch what was marked",
-  verify: "Check suspects, and share the reports",
+  verify: "Check suspects, and share claims",
   read: "See all marked models, claims and jobs",
   originals: "Fetch unmarked originals and records",
   admin: "All of this, owner keys and these settings",
