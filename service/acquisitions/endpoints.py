@@ -130,9 +130,9 @@ async def _acquired(core: Service, caller: Caller, body: NewAcquisition) -> tupl
         return await asyncio.to_thread(registry.keep_upload, core, caller, body.upload_id or "")
     url, limits = str(body.url), core.settings
     most = min(limits.max_upload_bytes, await asyncio.to_thread(store.left, core, caller.tenant))
-    with core.blobs.new_file() as body:
-        exchanges, got = await fetch(url, body, most, limits.acquire_seconds, private=limits.acquisitions_private)
-        return await asyncio.to_thread(registry.keep_fetched, core, caller, url, body, got, exchanges)
+    with core.blobs.new_file() as file:
+        exchanges, got = await fetch(url, file, most, limits.acquire_seconds, private=limits.acquisitions_private)
+        return await asyncio.to_thread(registry.keep_fetched, core, caller, url, file, got, exchanges)
 
 
 @router.get("", operation_id="listAcquisitions", responses=OF_LIST)
