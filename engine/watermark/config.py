@@ -4,7 +4,7 @@ What claims are held to (`statistics`, `rates`) and what records fix stays where
 tuning. z values and standard deviations have no unit.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "WatermarkConfig"]
 
@@ -139,15 +139,14 @@ class PaperDecoderConfig:
 class WatermarkConfig:
     """The stages of the watermark."""
 
-    cells: CellsConfig = field(default_factory=CellsConfig)
-    planning: PlanningConfig = field(default_factory=PlanningConfig)
-    lattice: LatticeConfig = field(default_factory=LatticeConfig)
-    grain: GrainConfig = field(default_factory=GrainConfig)
-    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
-    power: PowerConfig = field(default_factory=PowerConfig)
-    regions: RegionsConfig = field(default_factory=RegionsConfig)
-    paper: PaperDecoderConfig = field(default_factory=PaperDecoderConfig)
+    cells: CellsConfig = CellsConfig()
+    planning: PlanningConfig = PlanningConfig()
+    lattice: LatticeConfig = LatticeConfig()
+    grain: GrainConfig = GrainConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
+    power: PowerConfig = PowerConfig()
+    regions: RegionsConfig = RegionsConfig()
+    paper: PaperDecoderConfig = PaperDecoderConfig()
 
 
 CONFIG = WatermarkConfig()
-"""What the watermark is planned and read with."""

@@ -14,4 +14,3 @@ class RegionSearchConfig:
 
 
 CONFIG = RegionSearchConfig()
-"""What the search runs with."""
