@@ -3,7 +3,7 @@
 Image values are 0..1; lengths are in pixels where no other unit is named.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "AlignmentConfig"]
 
@@ -173,15 +173,14 @@ class ResidualConfig:
 class AlignmentConfig:
     """The stages of alignment."""
 
-    planar: PlanarConfig = field(default_factory=PlanarConfig)
-    flow: FlowConfig = field(default_factory=FlowConfig)
-    blur: BlurConfig = field(default_factory=BlurConfig)
-    background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    detail: DetailConfig = field(default_factory=DetailConfig)
-    tone: ToneConfig = field(default_factory=ToneConfig)
-    light: LightConfig = field(default_factory=LightConfig)
-    residual: ResidualConfig = field(default_factory=ResidualConfig)
+    planar: PlanarConfig = PlanarConfig()
+    flow: FlowConfig = FlowConfig()
+    blur: BlurConfig = BlurConfig()
+    background: BackgroundConfig = BackgroundConfig()
+    detail: DetailConfig = DetailConfig()
+    tone: ToneConfig = ToneConfig()
+    light: LightConfig = LightConfig()
+    residual: ResidualConfig = ResidualConfig()
 
 
 CONFIG = AlignmentConfig()
-"""What alignment runs with."""

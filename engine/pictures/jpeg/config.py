@@ -23,4 +23,3 @@ class JpegConfig:
 
 
 CONFIG = JpegConfig()
-"""What the search and the score run with."""
