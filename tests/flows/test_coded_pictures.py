@@ -14,7 +14,8 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32
-from engine.raster import render
+from engine.pictures.jpeg.config import CONFIG as JPEG
+from engine.raster import RasterSettings, render
 
 SIDE = 400
 
@@ -50,3 +51,16 @@ def test_blocks_are_read_in_the_pictures_own_pixels(
     for module in ("engine.flows.verify.suspect_evidence", "engine.watermark.image_evidence"):
         monkeypatch.setattr(f"{module}.find_grid", lambda _: None)
     assert own > 1.15 * z(scene, camera, picture)
+
+
+def test_a_jpeg_of_another_renderer_is_read_by_what_its_errors_leave(
+    scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The coder's score takes the other renderer's errors for the mark's; of our own renders it stays."""
+    antialiased = to_8_bit(render(scene.marked, camera, settings=RasterSettings(antialiased=True)))
+    foreign, own = attacked(antialiased, ("jpeg", 80)), attacked(to_8_bit(render(scene.marked, camera)), ("jpeg", 50))
+    read = [z(scene, camera, each) for each in (foreign, own)]
+    monkeypatch.setattr("engine.watermark.image_evidence.JPEG", replace(JPEG, own_agreement=0.0))
+    scored = [z(scene, camera, each) for each in (foreign, own)]
+    assert read[0] > 1.2 * scored[0]
+    assert read[1] == scored[1]
