@@ -164,8 +164,8 @@ class ResidualConfig:
     # are divided by the variance around them. Where it keeps less, a lossy coder emptied the quiet places, whose small
     # variance would be taken for certainty
     kept: float = 0.7
-    window: int = 5  # coefficients a side around one, whose mean square is its variance
-    prior: float = 8.0  # coefficients for which the variance of the whole band counts in addition
+    window: int = 9  # coefficients a side around one, whose mean square is its variance
+    prior: float = 25.0  # coefficients for which the variance of the whole band counts in addition
     # An emptied band is divided by its variance to this power: 1 is right for noise that is independent of the mark,
     # 1/2 is kindest to lossy coders, whose noise is not
     exponent: float = 0.75
