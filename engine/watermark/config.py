@@ -71,7 +71,7 @@ class GrainConfig:
     thinnest: float = 1e-5  # of the middle scale; below it a Gaussian is a disc, whose thickness no file keeps
     # Cosine between an axis and its partner's from which the axes show which scale is which; below, their order does
     sure: float = 0.8
-    lost: float = 4.0  # deviations beyond which a difference is no displacement but a wrong match, and says nothing
+    lost: float = 4.0  # deviations beyond which a difference counts as a wrong match and is left out
 
 
 @dataclass(frozen=True)

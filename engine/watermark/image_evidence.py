@@ -274,9 +274,10 @@ def _reader(
         return exposed if through is None else np.clip(exposed + through, 0.0, 1.0)  # the coder saw both
 
     grid, spread = find_grid(warped), None
-    if grid is not None and grid.quality > JPEG.coarse_quality:
-        blocks = grid.part(exposed_as_coded(reference)), grid.part(warped), grid.part(mask)
-        grid = grid if agreement(*blocks, grid.quality) >= JPEG.own_agreement else None
+    if grid is not None:
+        coded = exposed_as_coded(reference)
+        agreed = agreement(grid.part(coded), grid.part(warped), grid.part(mask), grid.quality)
+        grid = grid if agreed >= JPEG.own_agreement else None
     if grid is not None:
         pattern = _public_pattern(layout, view)
         spread = block_spread(grid.part(pattern if blur is None else blur.apply(pattern)))
@@ -284,7 +285,7 @@ def _reader(
 
     def weigh(known: Float32) -> Float32:
         if grid is not None and spread is not None:
-            exposed = exposed_as_coded(known)
+            exposed = coded if known is reference else exposed_as_coded(known)
             chroma = image_cotangent(exposed, warped, mask, Toned(exposed, np.ones_like(exposed)), chroma_alone=True)
             blocks = grid.part(exposed), grid.part(warped), grid.part(mask)
             return grid.whole(jpeg_cotangent(*blocks, spread, grid.quality), exposed.shape) + chroma

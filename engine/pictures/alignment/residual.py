@@ -135,15 +135,13 @@ def _weigh(band: npt.NDArray[Any], share: Float32, kept: float = 1.0) -> Float32
     variance = float(squares.sum()) / count
     for _ in range(4):  # outliers must not set the scale they are judged by
         variance = float(np.minimum(squares, _CONFIG.clip**2 * variance).sum()) / count
-    if kept < _CONFIG.kept:
-        noise = np.asarray(variance + _CONFIG.noise_floor**2)
-        divisor = noise**_CONFIG.exponent
-    else:
+    noise, power = np.asarray(variance + _CONFIG.noise_floor**2), _CONFIG.exponent
+    if kept >= _CONFIG.kept:
         around = np.minimum(squares, 4.0 * _CONFIG.clip**2 * variance)
         noise = (_sums(around) + _CONFIG.prior * variance) / (_sums(share) + _CONFIG.prior) + _CONFIG.noise_floor**2
-        divisor = noise
+        power = 1.0
     limit = _CONFIG.clip * np.sqrt(noise)
-    return np.asarray(kept**2 * np.clip(band, -limit, limit) / divisor, dtype=np.float32)
+    return np.asarray(kept**2 * np.clip(band, -limit, limit) / noise**power, dtype=np.float32)
 
 
 def _sums(plane: npt.NDArray[Any]) -> Float64:
