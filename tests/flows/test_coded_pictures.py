@@ -16,6 +16,7 @@ from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32
 from engine.pictures.jpeg.config import CONFIG as JPEG
 from engine.raster import RasterSettings, render
+from engine.watermark.claim import Claim
 
 SIDE = 400
 
@@ -31,8 +32,12 @@ def attacked(image: Float32, *steps: tuple[str, float]) -> Float32:
     return image
 
 
+def claim_of(scene: MarkedScene, camera: Camera, image: Float32) -> Claim:
+    return verify_images([image], scene.opened, cameras=[camera]).claim
+
+
 def z(scene: MarkedScene, camera: Camera, image: Float32) -> float:
-    return verify_images([image], scene.opened, cameras=[camera]).claim.z
+    return claim_of(scene, camera, image).z
 
 
 @pytest.mark.parametrize("kind", ["cut after, mirrored", "turned before"])
@@ -64,3 +69,9 @@ def test_a_jpeg_of_another_renderer_is_read_by_what_its_errors_leave(
     scored = [z(scene, camera, each) for each in (foreign, own)]
     assert read[0] > 1.2 * scored[0]
     assert read[1] == scored[1]
+
+
+@pytest.mark.parametrize("quality", [10, 80])
+def test_what_a_scored_picture_would_show_is_predicted(scene: MarkedScene, camera: Camera, quality: int) -> None:
+    claim = claim_of(scene, camera, attacked(to_8_bit(render(scene.marked, camera)), ("jpeg", quality)))
+    assert 0.4 * claim.z < claim.expected_z < 1.6 * claim.z
