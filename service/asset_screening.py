@@ -32,9 +32,9 @@ def screen(
 ) -> list[Any]:
     """The rows of `assets`, of those given, that a suspect (`model`, or `images`) may come from, the likeliest first.
 
-    Those alike, or else, if `likely`, the few that are likeliest; and those whose entry cannot be read or says nothing,
-    since it does not rule them out. Where there are any, and the suspect names a `plain` file, its model lies under
-    that name in the step's folder.
+    These are the alike ones or, without any and if `likely`, the few likeliest. Assets whose entry cannot be read or is
+    empty are added: nothing rules them out. Where there are any, and the suspect names a `plain` file, its model lies
+    under that name in the step's folder.
     """
     if not rows:
         return []

@@ -33,4 +33,3 @@ class CatalogueConfig:
 
 
 CONFIG = CatalogueConfig()
-"""What the index runs with."""

@@ -7,11 +7,9 @@ shows about as much, so every chip and every bit gets about the same evidence. N
 
 import numpy as np
 
+from engine.compress.config import CONFIG
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float32, Float64, GaussianModel, Int32
-
-COLOR_WEIGHT = 0.06
-"""Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""
 
 
 @inlined
@@ -105,8 +103,8 @@ def _weighted_median(keys, masses, begin, end, half):  # type: ignore[no-untyped
 
 
 def cell_features(model: GaussianModel, radius: float) -> Float32:
-    """(N, 6) joint features: position in scene radii and DC colour times COLOR_WEIGHT."""
-    return np.concatenate([model.means / radius, model.sh[:, 0] * COLOR_WEIGHT], axis=1).astype(np.float32)
+    """(N, 6) joint features: position in scene radii and DC color times its weight."""
+    return np.concatenate([model.means / radius, model.sh[:, 0] * CONFIG.color_weight], axis=1).astype(np.float32)
 
 
 def split_cells(features: Float32, weights: Float64, count: int) -> Int32:

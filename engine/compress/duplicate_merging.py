@@ -3,14 +3,9 @@
 import numpy as np
 import scipy
 
+from engine.compress.config import CONFIG
 from engine.model import Float64, GaussianModel, Int32
 from engine.numerics.gaussians import covariances, flatten
-
-COLOR_GAP = 0.15
-"""Largest DC difference (SH units, about 0.04 in colour) of a pair that may be merged."""
-
-SHAPE_GAP = 0.35
-"""Largest relative difference of the two covariances (Frobenius) of a pair that may be merged."""
 
 
 def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianModel, Int32, Int32]:
@@ -29,7 +24,7 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
     nearest = np.where(pair[:, 0] == rows, pair[:, 1], pair[:, 0])  # of exact duplicates either may come first
     first = np.flatnonzero((nearest[nearest] == rows) & (rows < nearest))
     second = nearest[first]
-    close = np.abs(model.sh[first, 0] - model.sh[second, 0]).max(axis=1) < COLOR_GAP
+    close = np.abs(model.sh[first, 0] - model.sh[second, 0]).max(axis=1) < CONFIG.color_gap
     first, second = first[close], second[close]
     if len(first) == 0:
         return model, rows, np.full(n, -1, np.int32)
@@ -38,7 +33,7 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
     gap = (model.means[second] - model.means[first]).astype(np.float64)
     mahalanobis = np.einsum("ni,ni->n", gap, np.linalg.solve(mean, gap[:, :, None])[:, :, 0])
     shape = np.linalg.norm(sigma_a - sigma_b, axis=(1, 2)) / np.linalg.norm(mean, axis=(1, 2))
-    same = (mahalanobis < distance) & (shape < SHAPE_GAP)
+    same = (mahalanobis < distance) & (shape < CONFIG.shape_gap)
     first, second, gap = first[same], second[same], gap[same]
     merged = _merge_pairs(model, first, second, sigma_a[same], sigma_b[same], gap)
     if model.is_flat:  # the gap between two discs of 2DGS does not make them thick

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from engine.compress.config import CONFIG
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.wavelet import coefficient_detail, high_frequency_energy
 from engine.raster import View
-
-PRIOR = 1e-3
-"""Prior precision of the Laplace approximation, in squared blending weight; keeps unseen coefficients finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +86,7 @@ def sh_curvature(model: GaussianModel, views: Sequence[View], cameras: Sequence[
     return curvature
 
 
-def uncertainty(curvature: Float32 | Float64, prior: float = PRIOR) -> Float64:
+def uncertainty(curvature: Float32 | Float64, prior: float = CONFIG.prior) -> Float64:
     """U = 1 / (H + prior), the Laplace posterior variance (DESIGN 4.3)."""
     return np.asarray(1.0 / (curvature.astype(np.float64) + prior))
 

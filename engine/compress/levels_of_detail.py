@@ -10,21 +10,12 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
+from engine.compress.config import CONFIG
 from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import GaussianModel, Int64
 from engine.numerics.gaussians import covariances, merge_groups, surface_mass, volume_mass
 
 __all__ = ["merge_pairs"]
-
-NEIGHBORS = 12
-"""Among so many nearest Gaussians each one looks for its partner."""
-
-COLOR_STD = 0.2
-"""Difference of spherical-harmonic coefficients that costs a pair as much as half a nat of shape."""
-
-
-_THIN = 1e-8
-"""Share of its trace added to a covariance, so that discs have a determinant."""
 
 
 def merge_pairs(model: GaussianModel, share: float, *, surface: bool) -> GaussianModel:
@@ -50,14 +41,14 @@ def numbered(first: Int64) -> Int64:
 
 def _pairs(model: GaussianModel, wanted: int, *, surface: bool) -> Int64:
     """At most `wanted` disjoint pairs (p, 2) of neighbours, those that lose least by being merged."""
-    k = min(NEIGHBORS + 1, len(model))
+    k = min(CONFIG.neighbors + 1, len(model))
     near = np.asarray(cKDTree(model.means).query(model.means, k=k, workers=2)[1]).reshape(len(model), k)
     mass = surface_mass(model) if surface else volume_mass(model)
     sigma = covariances(model)
-    sigma += (_THIN * np.trace(sigma, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3)
+    sigma += (CONFIG.thin * np.trace(sigma, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3)
     means, looks = model.means.astype(np.float64), model.sh.reshape(len(model), -1)
     cost = np.full(near.shape, np.inf)
-    merging_costs(means, sigma, mass, looks, near, COLOR_STD, cost)
+    merging_costs(means, sigma, mass, looks, near, CONFIG.color_std, cost)
     edges = np.flatnonzero(np.isfinite(cost))
     edges = edges[np.argsort(cost.reshape(-1)[edges], kind="stable")]
     pairs: Int64 = disjoint_pairs(edges // k, near.reshape(-1)[edges], len(model), wanted)

@@ -4,7 +4,7 @@ Numbers of Gaussians, of pairs and of rounds have no unit. An extent is the size
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "Agreement", "RegistrationConstants"]
 
@@ -237,19 +237,18 @@ class RegistrationConstants:
     # Share of the suspect's Gaussians without a match from which merged Gaussians are sought among them: a voxel tree
     # makes many into few
     left_over: float = 0.02
-    looks: LooksConfig = field(default_factory=LooksConfig)
-    similarity: SimilarityConfig = field(default_factory=SimilarityConfig)
-    confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
-    order: OrderConfig = field(default_factory=OrderConfig)
-    classes: ClassesConfig = field(default_factory=ClassesConfig)
-    deformation: DeformationConfig = field(default_factory=DeformationConfig)
-    patches: PatchConfig = field(default_factory=PatchConfig)
-    merging: MergingConfig = field(default_factory=MergingConfig)
-    pieces: PiecesConfig = field(default_factory=PiecesConfig)
-    coarse: CoarseConfig = field(default_factory=CoarseConfig)
-    sketch: SketchConfig = field(default_factory=SketchConfig)
-    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
+    looks: LooksConfig = LooksConfig()
+    similarity: SimilarityConfig = SimilarityConfig()
+    confirmation: ConfirmationConfig = ConfirmationConfig()
+    order: OrderConfig = OrderConfig()
+    classes: ClassesConfig = ClassesConfig()
+    deformation: DeformationConfig = DeformationConfig()
+    patches: PatchConfig = PatchConfig()
+    merging: MergingConfig = MergingConfig()
+    pieces: PiecesConfig = PiecesConfig()
+    coarse: CoarseConfig = CoarseConfig()
+    sketch: SketchConfig = SketchConfig()
+    visibility: VisibilityConfig = VisibilityConfig()
 
 
 CONFIG = RegistrationConstants()
-"""What registration and sketches run with."""

@@ -18,7 +18,6 @@ from engine.numerics.similarity import MIRROR
 from engine.registration.config import CONFIG
 from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
 
-_CONFIG = CONFIG.looks
 SHAPE_FEATURES = 3
 """Two size ratios and the opacity come first in a feature vector, then colour, then SH energies."""
 
@@ -99,8 +98,8 @@ class FeatureIndex:
         self.precision = np.linalg.inv(np.atleast_2d(covariance) + 0.01 * np.eye(white.shape[1]))
         rarity = self._rarity(white)
         self.all_points = white
-        if len(white) > _CONFIG.tree_points:
-            rank = len(white) - _CONFIG.tree_points
+        if len(white) > CONFIG.looks.tree_points:
+            rank = len(white) - CONFIG.looks.tree_points
             self.threshold = float(np.partition(rarity, rank)[rank])
         else:
             self.threshold = -np.inf

@@ -23,10 +23,9 @@ from engine.numerics.similarity import quaternion_product, rotation_to_quaternio
 from engine.numerics.umeyama import Similarity
 from engine.registration.config import CONFIG
 
-LOGIT_CLIP = CONFIG.looks.logit_clip
+LOGIT_CLIP, FLATNESS_CLIP = CONFIG.looks.logit_clip, CONFIG.looks.flatness_clip
 DC_CLIP = 1.772
 """DC of the colours 0 and 1: trade formats with 8-bit colours hold no more."""
-FLATNESS_CLIP = CONFIG.looks.flatness_clip
 HARD = 6
 """Position and size come first in a joint vector; opacity and colour, which owners retouch, follow."""
 

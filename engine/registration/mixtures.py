@@ -23,8 +23,7 @@ from engine.registration.config import CONFIG
 from engine.registration.matching import DC_CLIP
 
 _CONFIG = CONFIG.merging
-LIMIT = CONFIG.merging.limit
-COLOR_STD = CONFIG.merging.color_std
+LIMIT, COLOR_STD = CONFIG.merging.limit, CONFIG.merging.color_std
 
 
 @dataclass(frozen=True, eq=False)

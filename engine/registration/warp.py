@@ -11,9 +11,6 @@ from engine.numerics.similarity import quaternion_to_rotation
 from engine.registration.config import CONFIG
 from engine.registration.matching import Deviations
 
-_CONFIG = CONFIG.deformation
-
-
 Affine = npt.NDArray[np.float64]
 """(..., 3, 4): x_target = map[..., :3] @ x_source + map[..., 3]."""
 
@@ -26,7 +23,7 @@ def fit_affine(source: Float64, target: Float64, prior: Affine) -> Affine:
     leaves open.
     """
     w, current = np.ones(source.shape[:2]), prior
-    for turn in range(_CONFIG.reweightings):
+    for turn in range(CONFIG.deformation.reweightings):
         total = np.maximum(w.sum(axis=1), 1e-12)[:, None]
         a = np.einsum("bn,bni->bi", w, source) / total  # (B, 3)
         b = np.einsum("bn,bni->bi", w, target) / total  # (B, 3)
@@ -34,13 +31,13 @@ def fit_affine(source: Float64, target: Float64, prior: Affine) -> Affine:
         spread = np.einsum("bn,bni,bnj->bij", w, da, da) / total[..., None]  # (B, 3, 3)
         cross = np.einsum("bn,bni,bnj->bij", w, db, da) / total[..., None]  # (B, 3, 3)
         linear = _turned(prior[:, :, :3], cross, spread)
-        hold = _CONFIG.ridge * np.trace(spread, axis1=1, axis2=2)[:, None, None] / 3.0 + 1e-30
+        hold = CONFIG.deformation.ridge * np.trace(spread, axis1=1, axis2=2)[:, None, None] / 3.0 + 1e-30
         solved = np.linalg.solve(
             spread + hold * np.eye(3), np.swapaxes(cross + hold * linear, 1, 2)
         )  # symmetric: the transposed equation
         A = np.swapaxes(solved, 1, 2)
         current = np.concatenate([A, (b - np.einsum("bij,bj->bi", A, a))[..., None]], axis=2)  # (B, 3, 4)
-        if turn == _CONFIG.reweightings - 1:
+        if turn == CONFIG.deformation.reweightings - 1:
             break
         error = np.linalg.norm(apply(current[:, None], source) - target, axis=2)
         median = np.sort(error, axis=1)[:, [(error.shape[1] - 1) // 2]]  # (B, 1)

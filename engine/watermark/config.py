@@ -4,7 +4,7 @@ What claims are held to (`statistics`, `rates`) and what records fix stays where
 tuning. z values and standard deviations have no unit.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "WatermarkConfig"]
 
@@ -71,7 +71,7 @@ class GrainConfig:
     thinnest: float = 1e-5  # of the middle scale; below it a Gaussian is a disc, whose thickness no file keeps
     # Cosine between an axis and its partner's from which the axes show which scale is which; below, their order does
     sure: float = 0.8
-    lost: float = 4.0  # deviations beyond which a difference is no displacement but a wrong match, and says nothing
+    lost: float = 4.0  # deviations beyond which a difference counts as a wrong match and is left out
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class PowerConfig:
 
 @dataclass(frozen=True)
 class RegionsConfig:
-    """Regions of the asset (`region_tree`, `regions`)."""
+    """Regions of the asset (`region_tree`, `regions`, `region_search`)."""
 
     codes: int = 12  # code vectors of the smallest region, 36 chips of the tint: 4,096 of them give 256 regions of 16
     # Chips, counted by their shares of the evidence, below which nothing is said of a region: what is shown of few
@@ -124,6 +124,8 @@ class RegionsConfig:
     # (what was measured, the mark too, counts as noise): an intact mark shows 1.4 to 2 times as much, and a discovery
     # among many takes 3.6 at 1 % and six tries
     enough: float = 4.0
+    wide: float = 0.9  # share of a region's Gaussians within its radius
+    faint: float = 0.02  # share of what pictures say that is left to the faintest leaves: they count as not seen
     present: float = 0.5  # share of a region's Gaussians that the suspect must hold for it to be called altered
 
 
@@ -139,15 +141,14 @@ class PaperDecoderConfig:
 class WatermarkConfig:
     """The stages of the watermark."""
 
-    cells: CellsConfig = field(default_factory=CellsConfig)
-    planning: PlanningConfig = field(default_factory=PlanningConfig)
-    lattice: LatticeConfig = field(default_factory=LatticeConfig)
-    grain: GrainConfig = field(default_factory=GrainConfig)
-    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
-    power: PowerConfig = field(default_factory=PowerConfig)
-    regions: RegionsConfig = field(default_factory=RegionsConfig)
-    paper: PaperDecoderConfig = field(default_factory=PaperDecoderConfig)
+    cells: CellsConfig = CellsConfig()
+    planning: PlanningConfig = PlanningConfig()
+    lattice: LatticeConfig = LatticeConfig()
+    grain: GrainConfig = GrainConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
+    power: PowerConfig = PowerConfig()
+    regions: RegionsConfig = RegionsConfig()
+    paper: PaperDecoderConfig = PaperDecoderConfig()
 
 
 CONFIG = WatermarkConfig()
-"""What the watermark is planned and read with."""

@@ -22,13 +22,12 @@ from engine.watermark.grain_kernels import axes_of, middle_of
 from engine.watermark.model_evidence import Evidence
 
 FLAT, THINNEST = CONFIG.grain.flat, CONFIG.grain.thinnest
-SURE = CONFIG.grain.sure
+SURE, LOST = CONFIG.grain.sure, CONFIG.grain.lost
 SIZES = 16
 """Classes of like size; each spans a factor of two, the middle one begins at the median."""
 OCTAVES, PER_OCTAVE = 48, 8
 """Range and resolution of the histogram in which the usual size of a difference is looked up."""
 _WIDTH = OCTAVES * PER_OCTAVE
-LOST = CONFIG.grain.lost
 
 
 @inlined

@@ -21,7 +21,8 @@ from engine.pictures.alignment.residual import image_cotangent
 from engine.pictures.alignment.tone_curve import Toned
 from engine.pictures.alignment.uneven_light import fit_colors
 from engine.pictures.jpeg.block_grid import find_grid
-from engine.pictures.jpeg.quantizer_score import block_spread, jpeg_cotangent, match_exposure
+from engine.pictures.jpeg.config import CONFIG as JPEG
+from engine.pictures.jpeg.quantizer_score import agreement, block_spread, jpeg_cotangent, match_exposure
 from engine.raster import View
 from engine.watermark.alike_kernels import scale_alike, sum_alike
 from engine.watermark.config import CONFIG
@@ -266,20 +267,25 @@ def _reader(
 ) -> Callable[[Float32], Float32]:
     """Function from a render (H, W, 3) that the picture is held against, the reference or nearly, to the weighted
     residual (H, W, 3) that is to be pulled back."""
-    grid = find_grid(warped)
-    spread = None
+    own = warped if through is None else warped - through
+
+    def exposed_as_coded(known: Float32) -> Float32:
+        exposed = match_exposure(known, own, mask)
+        return exposed if through is None else np.clip(exposed + through, 0.0, 1.0)  # the coder saw both
+
+    grid, spread = find_grid(warped), None
+    if grid is not None:
+        coded = exposed_as_coded(reference)
+        agreed = agreement(grid.part(coded), grid.part(warped), grid.part(mask), grid.quality)
+        grid = grid if agreed >= JPEG.own_agreement else None
     if grid is not None:
         pattern = _public_pattern(layout, view)
         spread = block_spread(grid.part(pattern if blur is None else blur.apply(pattern)))
-
-    own = warped if through is None else warped - through
     toned = fit_colors(reference, own, mask) if grid is None and mask.any() else None
 
     def weigh(known: Float32) -> Float32:
         if grid is not None and spread is not None:
-            exposed = match_exposure(known, own, mask)
-            if through is not None:  # the coder saw both
-                exposed = np.clip(exposed + through, 0.0, 1.0)
+            exposed = coded if known is reference else exposed_as_coded(known)
             chroma = image_cotangent(exposed, warped, mask, Toned(exposed, np.ones_like(exposed)), chroma_alone=True)
             blocks = grid.part(exposed), grid.part(warped), grid.part(mask)
             return grid.whole(jpeg_cotangent(*blocks, spread, grid.quality), exposed.shape) + chroma

@@ -20,8 +20,6 @@ from engine.numerics.wavelet import coefficient_detail
 from engine.watermark.config import CONFIG
 from engine.watermark.messages import Signs
 
-_CONFIG = CONFIG.paper
-
 
 def paper_steps(y: Float64, amplitudes: Float64, chips: npt.NDArray[np.int8]) -> Float64:
     """(C,) w of Eq 10 along each chip: whole steps, zero beyond the tolerance.
@@ -35,7 +33,7 @@ def paper_steps(y: Float64, amplitudes: Float64, chips: npt.NDArray[np.int8]) ->
     chips : (C,) int8
     """
     steps = np.where(amplitudes > 0, y * chips / np.maximum(amplitudes, 1e-12), 0.0)
-    return np.asarray(np.round(steps) * (np.abs(steps) <= _CONFIG.epsilon_steps))
+    return np.asarray(np.round(steps) * (np.abs(steps) <= CONFIG.paper.epsilon_steps))
 
 
 def adaptive_weights(differences: Sequence[Float64], amplitudes: Float64) -> Float64:
@@ -56,7 +54,7 @@ def adaptive_weights(differences: Sequence[Float64], amplitudes: Float64) -> Flo
     for stage in differences:
         energy = (stage**2).sum(axis=1)
         detail = (coefficient_detail(stage.reshape(len(stage), -1, 3)) ** 2).sum(axis=(1, 2))
-        reliable = np.where(energy > 0, energy / np.maximum(energy + _CONFIG.lambda_freq * detail, 1e-300), 1.0)
+        reliable = np.where(energy > 0, energy / np.maximum(energy + CONFIG.paper.lambda_freq * detail, 1e-300), 1.0)
         parts.append(np.repeat(reliable, carriers))
     usual = float(np.median(amplitudes[amplitudes > 0])) if (amplitudes > 0).any() else 1.0
     return np.asarray(np.concatenate(parts) * amplitudes / usual)

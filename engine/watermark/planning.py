@@ -222,8 +222,8 @@ def check_capacity(wanted: int, capacity: int) -> None:
     """Refuse a message the scene cannot carry (CapacityError names both numbers)."""
     if wanted > capacity:
         raise CapacityError(
-            f"this scene carries {capacity} bits at the asked fidelity, {wanted} were asked for; "
-            "ask for fewer bits or a lower PSNR",
+            f"this scene carries {capacity} bits at this fidelity, {wanted} were requested; "
+            "request fewer bits or a lower PSNR",
             wanted=wanted,
             capacity=capacity,
         )

@@ -21,9 +21,6 @@ from engine.model import Float64
 from engine.watermark.config import CONFIG
 from engine.watermark.statistics import magnitude
 
-_CONFIG = CONFIG.power
-
-
 _SMALL = 1e-200
 """Sums of squares above this, and below one over it, lose nothing that matters."""
 
@@ -117,15 +114,15 @@ def change(y: Float64, w: Float64, signal: Float64) -> float:
     """
     expected = np.abs(w * signal)
     mark = float(expected @ expected)
-    measured = w * np.minimum(np.abs(y), _CONFIG.far * np.abs(signal))
+    measured = w * np.minimum(np.abs(y), CONFIG.power.far * np.abs(signal))
     return math.sqrt(float(measured @ measured) / mark) if mark > 0 else math.inf
 
 
 def _sums(y: Float64, w: Float64, signal: Float64, unit: float, top: float) -> Moments:
     """`moments` of y and signal in units, weights in tops."""
     sums, least = np.zeros(5), 0.0
-    for start in range(0, len(y), _CONFIG.rows):
-        rows = slice(start, start + _CONFIG.rows)
+    for start in range(0, len(y), CONFIG.power.rows):
+        rows = slice(start, start + CONFIG.power.rows)
         weights = w[rows] / top
         wy, ws = y[rows] / unit * weights, signal[rows] / unit * weights
         noise, mark = wy * wy, ws * ws

@@ -33,9 +33,6 @@ import numpy.typing as npt
 from engine.model import Float64
 from engine.watermark.config import CONFIG
 
-_CONFIG = CONFIG.power
-
-
 Signs = npt.NDArray[np.int8]
 
 CHANCE_RATE = 1e-9
@@ -156,9 +153,9 @@ def decode_bits(T: Float64, norm: Float64, strength: Float64 | None = None) -> t
     a = math.sqrt(max(0.0, float((z[seen] ** 2 - 1).sum())) / energy) if energy > 0 else 0.0
     u, v = np.abs(z), a * s
     top = np.maximum(u * v - v * v / 2, 0.0)  # the largest exponent: nothing overflows
-    right = (1 - _CONFIG.lost_bit) * np.exp(u * v - v * v / 2 - top)
-    wrong = (1 - _CONFIG.lost_bit) * np.exp(-u * v - v * v / 2 - top)
-    lost = _CONFIG.lost_bit * np.exp(-top)
+    right = (1 - CONFIG.power.lost_bit) * np.exp(u * v - v * v / 2 - top)
+    wrong = (1 - CONFIG.power.lost_bit) * np.exp(-u * v - v * v / 2 - top)
+    lost = CONFIG.power.lost_bit * np.exp(-top)
     reliability = (right + lost) / (right + wrong + 2 * lost)
     return np.sign(T).astype(np.int8), reliability
 

@@ -10,8 +10,6 @@ import scipy
 from engine.model import Float64, Int64
 from engine.watermark.config import CONFIG
 
-_CONFIG = CONFIG.cells
-
 
 def unexplained(centers: Float64, colors: Float64) -> Float64:
     """(M, 3, 3) mean outer product of what the neighbours' colours leave unexplained.
@@ -28,7 +26,7 @@ def unexplained(centers: Float64, colors: Float64) -> Float64:
         return np.zeros((count, 3, 3))
     guessed, near = guess(centers, colors)
     missed = colors - guessed
-    around = np.concatenate([np.arange(count)[:, None], near[:, : _CONFIG.around - 1]], axis=1)
+    around = np.concatenate([np.arange(count)[:, None], near[:, : CONFIG.cells.around - 1]], axis=1)
     return np.asarray(np.einsum("mki,mkj->mij", missed[around], missed[around]) / around.shape[1])
 
 
@@ -38,10 +36,10 @@ def guess(centers: Float64, colors: Float64) -> tuple[Float64, Int64]:
     Of at least two code vectors, else as in `unexplained`.
     """
     count = len(centers)
-    k = min(_CONFIG.neighbors + 1, count)
+    k = min(CONFIG.cells.neighbors + 1, count)
     near = scipy.spatial.cKDTree(centers).query(centers, k=k, workers=2)[1][:, 1:]  # (M, k - 1)
     offset = centers[near] - centers[:, None]
     offset /= np.sqrt(np.square(offset).sum(axis=2).mean(axis=1))[:, None, None] + 1e-300
     design = np.concatenate([offset, np.ones((*near.shape, 1))], axis=2)  # (M, k, 4)
-    normal = np.einsum("mki,mkj->mij", design, design) + _CONFIG.ridge * np.eye(4)
+    normal = np.einsum("mki,mkj->mij", design, design) + CONFIG.cells.ridge * np.eye(4)
     return np.linalg.solve(normal, np.einsum("mki,mkc->mic", design, colors[near]))[:, 3], near

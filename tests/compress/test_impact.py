@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.compress.config import CONFIG
 from engine.compress.impact import (
-    PRIOR,
     frequency_impact,
     measure_impact,
     paper_impact,
@@ -91,7 +91,7 @@ def test_curvature_is_the_second_derivative_of_the_render_error() -> None:
 
 def test_uncertainty_is_the_posterior_variance() -> None:
     np.testing.assert_allclose(uncertainty(np.array([0.0, 1.0, 9.0]), prior=1.0), [1.0, 0.5, 0.1])
-    assert uncertainty(np.zeros(1)) == pytest.approx(1 / PRIOR), "unseen, yet finite"
+    assert uncertainty(np.zeros(1)) == pytest.approx(1 / CONFIG.prior), "unseen, yet finite"
 
 
 def test_frequency_impact_is_eq_4_times_the_detail_of_the_colour() -> None:
@@ -109,7 +109,7 @@ def test_frequency_impact_is_eq_4_times_the_detail_of_the_colour() -> None:
 def test_uncertain_is_what_lies_deviations_above_the_mean() -> None:
     curvature = np.ones((100, 4))
     curvature[:5, 2] = 0.1
-    doubt = 1 / (curvature + PRIOR)
-    far = (1 / (0.1 + PRIOR) - doubt.mean()) / doubt.std()
+    doubt = 1 / (curvature + CONFIG.prior)
+    far = (1 / (0.1 + CONFIG.prior) - doubt.mean()) / doubt.std()
     np.testing.assert_array_equal(uncertain(curvature, 0.9 * far), curvature == 0.1)
     assert not uncertain(curvature, 1.1 * far).any()

@@ -172,8 +172,8 @@ def test_an_unmarked_original_is_read_once_and_told_so_by_each(
 
 def test_copies_of_format_2_are_told_apart_by_their_own_marks(earlier: Copies, reads: Counter[str]) -> None:
     together = collude(earlier.models[0], "mean", np.random.default_rng(1), others=[earlier.models[2]])
-    found = search(Suspect(together), earlier.candidates, MODEL, silent)
-    assert reads == {"register": 1}
+    found = search(Suspect(together), earlier.candidates, VerifyConfig(), silent)
+    assert reads == {"register": 1}, "nothing is rendered for the one without a mark, once others have one"
     assert [each.marked for each in found.outcomes] == [True, False, True]
     assert {each.claim.copy_named for each in found.outcomes if each.claim} == {None}
 
@@ -200,6 +200,17 @@ def test_a_picture_of_a_copy_of_format_2_names_it_after_two_readings(earlier: Co
     assert found.best.candidate.name == "buyer 1"
     alone = verify(suspect, found.best.candidate.record, VerifyConfig(tries=found.tries)).claim
     assert found.best.claim == alone, "with its own cells, in full"
+
+
+def test_of_a_faint_picture_the_copy_that_stands_out_alone_is_read_by_itself(
+    earlier: Copies, small_plant: GaussianModel, reads: Counter[str]
+) -> None:
+    camera = opened_of(earlier, 0).cameras[0].resized(96, 96)
+    faint = np.float32(0.5) * (render(earlier.models[1], camera) + render(small_plant, camera))
+    found = search(Suspect(None, [to_8_bit(faint)], [camera]), earlier.candidates, VerifyConfig(), silent)
+    assert reads == {"read_pictures": 2}
+    assert [each.whole for each in found.outcomes] == [True, True, False]
+    assert not any(each.marked for each in found.outcomes)
 
 
 def test_a_mark_that_a_full_reading_does_not_confirm_ends_nothing(

@@ -14,7 +14,9 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32
-from engine.raster import render
+from engine.pictures.jpeg.config import CONFIG as JPEG
+from engine.raster import RasterSettings, render
+from engine.watermark.claim import Claim
 
 SIDE = 400
 
@@ -30,8 +32,12 @@ def attacked(image: Float32, *steps: tuple[str, float]) -> Float32:
     return image
 
 
+def claim_of(scene: MarkedScene, camera: Camera, image: Float32) -> Claim:
+    return verify_images([image], scene.opened, cameras=[camera]).claim
+
+
 def z(scene: MarkedScene, camera: Camera, image: Float32) -> float:
-    return verify_images([image], scene.opened, cameras=[camera]).claim.z
+    return claim_of(scene, camera, image).z
 
 
 @pytest.mark.parametrize("kind", ["cut after, mirrored", "turned before"])
@@ -50,3 +56,22 @@ def test_blocks_are_read_in_the_pictures_own_pixels(
     for module in ("engine.flows.verify.suspect_evidence", "engine.watermark.image_evidence"):
         monkeypatch.setattr(f"{module}.find_grid", lambda _: None)
     assert own > 1.15 * z(scene, camera, picture)
+
+
+def test_a_jpeg_of_another_renderer_is_read_by_what_its_errors_leave(
+    scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The coder's score takes the other renderer's errors for the mark's; of our own renders it stays."""
+    antialiased = to_8_bit(render(scene.marked, camera, settings=RasterSettings(antialiased=True)))
+    foreign, own = attacked(antialiased, ("jpeg", 80)), attacked(to_8_bit(render(scene.marked, camera)), ("jpeg", 50))
+    read = [z(scene, camera, each) for each in (foreign, own)]
+    monkeypatch.setattr("engine.watermark.image_evidence.JPEG", replace(JPEG, own_agreement=0.0))
+    scored = [z(scene, camera, each) for each in (foreign, own)]
+    assert read[0] > 1.2 * scored[0]
+    assert read[1] == scored[1]
+
+
+@pytest.mark.parametrize("quality", [10, 80])
+def test_what_a_scored_picture_would_show_is_predicted(scene: MarkedScene, camera: Camera, quality: int) -> None:
+    claim = claim_of(scene, camera, attacked(to_8_bit(render(scene.marked, camera)), ("jpeg", quality)))
+    assert 0.4 * claim.z < claim.expected_z < 1.6 * claim.z

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.compress.impact import PRIOR, paper_impact
+from engine.compress.config import CONFIG as COMPRESS
+from engine.compress.impact import paper_impact
 from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.flows.embed import delivery
 from engine.flows.embed.config import CONFIG
@@ -89,9 +90,9 @@ def test_without_a_budget_the_model_is_left_alone(ball: Ball) -> None:
 def test_colors_weigh_what_their_error_costs(ball: Ball) -> None:
     """The inverse of the Laplace uncertainty: the squared blending weight, and next to nothing for the unseen."""
     weights = color_weights(ball.model, ball.impact)
-    np.testing.assert_allclose(weights, ball.impact.squared + PRIOR, rtol=1e-6)
+    np.testing.assert_allclose(weights, ball.impact.squared + COMPRESS.prior, rtol=1e-6)
     unseen = replace(ball.impact, squared=np.zeros(len(ball.model)))
-    np.testing.assert_allclose(color_weights(ball.model, unseen), PRIOR, rtol=1e-6)
+    np.testing.assert_allclose(color_weights(ball.model, unseen), COMPRESS.prior, rtol=1e-6)
 
 
 @pytest.mark.parametrize("more", [1.0, 4.0])

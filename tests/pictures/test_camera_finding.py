@@ -11,7 +11,7 @@ from engine.errors import InputError
 from engine.kernels.thread_crew import use_threads
 from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.similarity import mirror_model
-from engine.pictures.camera import keypoint_cameras, pose_refinement
+from engine.pictures.camera import keypoint_cameras
 from engine.pictures.camera.camera_motion import normalized, project
 from engine.pictures.camera.camera_search import find_camera
 from engine.pictures.camera.camera_trial import Picture
@@ -206,7 +206,7 @@ def test_refinement_gives_up_where_nothing_is_seen(plant: GaussianModel) -> None
 
 def test_knobs_are_within_reason() -> None:
     assert CONFIG.keypoints.least_start <= CONFIG.keypoints.least_inliers < CONFIG.supported
-    assert pose_refinement.LEAST_CORRELATION < CONFIG.settled_correlation < 1.0
+    assert CONFIG.refinement.least_correlation < CONFIG.settled_correlation < 1.0
 
 
 @pytest.mark.parametrize("roll", [0.0, 90.0, 180.0])

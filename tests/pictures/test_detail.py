@@ -12,6 +12,7 @@ from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.detail import compare_detail, uncovered
 from engine.pictures.camera import pose_refinement
 from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -35,7 +36,7 @@ def test_what_is_light_and_dark_in_the_same_places_is_no_picture_of_it(plant: Ga
     gray = resized(luma(alike), camera.width, camera.height)
     refined = pose_refinement.refine_level(plant, gray, camera, 8, 0.05)
     assert refined is not None
-    assert refined.correlation > pose_refinement.LEAST_CORRELATION, "as large as that of a picture of it"
+    assert refined.correlation > CONFIG.refinement.least_correlation, "as large as that of a picture of it"
     assert find_camera(none, plant, alike, far=lambda: far) is None
 
 
@@ -64,8 +65,8 @@ def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel)
     refined = pose_refinement.refine_level(plant, gray, camera, 8, 0.05)
     assert refined is not None
     assert refined.alike
-    assert refined.detail_z > pose_refinement.LEAST_DETAIL_Z
-    assert not replace(refined, detail_z=pose_refinement.LEAST_DETAIL_Z - 1.0).alike
+    assert refined.detail_z > CONFIG.refinement.least_detail_z
+    assert not replace(refined, detail_z=CONFIG.refinement.least_detail_z - 1.0).alike
 
 
 def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:

@@ -9,7 +9,8 @@ from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pictures.camera.camera_motion import project
-from engine.pictures.camera.far_views import ENOUGH, PARTS, FarViews, _aimed, _places, merged_in_voxels
+from engine.pictures.camera.config import CONFIG
+from engine.pictures.camera.far_views import FarViews, _aimed, _places, merged_in_voxels
 from engine.raster import render
 from tests.threads import with_one_and_two_threads
 
@@ -22,8 +23,9 @@ def rig(plant: GaussianModel) -> list[Camera]:
 def test_merged_it_looks_alike(plant: GaussianModel, rig: list[Camera]) -> None:
     """More than its most visible Gaussians do, of which there are more."""
     far = FarViews(plant, []).model
-    assert 0.97 * ENOUGH < len(far) < 1.03 * ENOUGH
-    visible = np.argsort(-plant.opacities * np.exp(plant.log_scales.sum(axis=1) / 1.5), kind="stable")[: 3 * ENOUGH]
+    enough = CONFIG.far.gaussians
+    assert 0.97 * enough < len(far) < 1.03 * enough
+    visible = np.argsort(-plant.opacities * np.exp(plant.log_scales.sum(axis=1) / 1.5), kind="stable")[: 3 * enough]
     whole, merged, few = (
         [render(model, camera.with_side(96)) for camera in rig] for model in (plant, far, plant.take(np.sort(visible)))
     )
@@ -37,7 +39,7 @@ def test_what_lies_far_away_does_not_make_voxels_coarse(plant: GaussianModel, ri
     small = [camera.with_side(96) for camera in rig]
     whole, merged = (
         [render(model, camera) for camera in small]
-        for model in (plant, merged_in_voxels(plant.with_(means=means), ENOUGH))
+        for model in (plant, merged_in_voxels(plant.with_(means=means), CONFIG.far.gaussians))
     )
     assert psnr_of(whole, merged) > 23.0
 
@@ -66,13 +68,13 @@ def test_views_are_taken_from_near_too(plant: GaussianModel, rig: list[Camera]) 
 
 def test_parts_lie_apart_and_are_aimed_at(plant: GaussianModel, rig: list[Camera]) -> None:
     far = FarViews(plant, rig)
-    assert len(far.parts) == PARTS * len(rig)
+    assert len(far.parts) == CONFIG.far.parts * len(rig)
     whole = far.views[: len(rig)]
     assert np.median([view.depth for view in far.parts]) < 0.5 * np.median([view.depth for view in whole])
     for view in whole:
         places = _places(view)
-        assert len(places) == PARTS
-        apart = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(PARTS, 1)]
+        assert len(places) == CONFIG.far.parts
+        apart = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(CONFIG.far.parts, 1)]
         assert apart.min() > view.spread
         ray = np.linalg.solve(view.camera.K, np.array([*places[0], 1.0]))
         camera = _aimed(view, places[0])

@@ -13,7 +13,7 @@ from engine.pictures.camera.camera_proposals import Candidates
 from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.picture_edges import COLORED, PictureEdges
+from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.view_climb import Climbed, _distinct, climb
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 from engine.pictures.camera.view_scores import SIDE
@@ -135,8 +135,8 @@ def test_colours_tell_what_edges_do_not(plant: GaussianModel) -> None:
         name: PictureEdges.of(shade).scored([view], np.zeros(1, int), standing(view)) for name, shade in shades.items()
     }
     score = {name: float(scores[0]) for name, (scores, _) in told.items()}
-    assert score["own"] - score["inverted"] > 2.0 * COLORED
-    assert score["own"] - score["toned"] < 0.5 * COLORED
+    assert score["own"] - score["inverted"] > 2.0 * CONFIG.edges.colored
+    assert score["own"] - score["toned"] < 0.5 * CONFIG.edges.colored
 
 
 def test_colours_are_correlated_point_by_point(plant: GaussianModel) -> None:

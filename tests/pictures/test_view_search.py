@@ -15,9 +15,8 @@ from engine.pictures.camera.camera_motion import project
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.picture_edges import PictureEdges
-from engine.pictures.camera.view_points import POINTS
 from engine.pictures.camera.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views, spread_out
-from engine.pictures.camera.view_search import RADII, search_views
+from engine.pictures.camera.view_search import search_views
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 from tests.reference.view_scores import score, strongest_apart
@@ -33,7 +32,7 @@ def test_kernels_say_what_their_twin_says() -> None:
     np.testing.assert_allclose(responses.std(axis=(1, 2)), 1.0, rtol=1e-3)
     places = rng.normal(size=(2, 30, 2)).astype(np.float32)
     directions = rng.uniform(-np.pi, np.pi, (2, 30)).astype(np.float32)
-    radii = np.array(RADII[:3], dtype=np.float32)
+    radii = np.array(CONFIG.edges.radii[:3], dtype=np.float32)
     jobs = np.array([(0, 0, 0), (1, 7, 1), (0, 23, 2)] * 5)  # more than share their memory
     for step in (2, 4):
         scores, found = np.empty(15, np.float32), np.empty((15, 2), np.int64)
@@ -105,8 +104,8 @@ def test_a_first_glance_spares_most_of_the_search(plant: GaussianModel, monkeypa
 
     monkeypatch.setattr(view_search, "score_views", counted)
     found = search_views(views, picture, 5)
-    every = len(views) * ROLLS * len(RADII)
-    assert asked == [(every, POINTS // 2, 4), (int(CONFIG.edges.promising * every), POINTS, 2)]
+    every, points = len(views) * ROLLS * len(CONFIG.edges.radii), CONFIG.edges.points
+    assert asked == [(every, points // 2, 4), (int(CONFIG.edges.promising * every), points, 2)]
     monkeypatch.setattr(view_search, "_CONFIG", replace(CONFIG.edges, promising=1.0))
     whole = search_views(views, picture, 5)
     assert [score for score, _ in found] == [score for score, _ in whole]

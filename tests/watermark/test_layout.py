@@ -99,7 +99,7 @@ def test_messages_round_trip_and_derive() -> None:
 
 
 def test_capacity_refusal_names_both_numbers() -> None:
-    with pytest.raises(CapacityError, match=r"carries 23 bits.*32 were asked") as caught:
+    with pytest.raises(CapacityError, match=r"carries 23 bits.*32 were requested") as caught:
         check_capacity(32, 23)
     assert (caught.value.wanted, caught.value.capacity) == (32, 23)
 

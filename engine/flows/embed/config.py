@@ -3,7 +3,7 @@
 Fidelities are PSNR in dB or SSIM of the marked against the unmarked render, in the worst key view.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "EmbedConstants"]
 
@@ -94,12 +94,11 @@ class RehearsalConfig:
 class EmbedConstants:
     """The stages of an embedding."""
 
-    auto: AutoConfig = field(default_factory=AutoConfig)
-    plan: PlanConstants = field(default_factory=PlanConstants)
-    strength: StrengthConfig = field(default_factory=StrengthConfig)
-    bank: BankConfig = field(default_factory=BankConfig)
-    rehearsal: RehearsalConfig = field(default_factory=RehearsalConfig)
+    auto: AutoConfig = AutoConfig()
+    plan: PlanConstants = PlanConstants()
+    strength: StrengthConfig = StrengthConfig()
+    bank: BankConfig = BankConfig()
+    rehearsal: RehearsalConfig = RehearsalConfig()
 
 
 CONFIG = EmbedConstants()
-"""What embeddings run with."""

@@ -30,8 +30,6 @@ from engine.watermark.messages import Signs
 from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
 from engine.watermark.spreading import ONE_BIT, public_values, signed_amplitudes, spread_grain
 
-_CONFIG = CONFIG.strength
-
 
 @dataclass(frozen=True, eq=False)
 class Committed:
@@ -112,7 +110,7 @@ def make_owner_mark(
         By how much more a picture of `reference_pixels` shows than each view does.
     """
     bits, model = len(committed.message), views.model
-    for left in reversed(range(_CONFIG.draws)):
+    for left in reversed(range(CONFIG.strength.draws)):
         plan, grain, copies = settled.plan, settled.grain, settled.copies
         pictured = capacity_bits(plan.energies * pixels, plan.layout.chips)
         capacity = max(pictured, grain_capacity(len(model)) if grain.there else 0)
@@ -149,7 +147,7 @@ def make_mark(
     if copies is None:
         return Mark(owner.model, committed.plan(model, settled), 0.0, owner.fidelity)
     best: Mark | None = None
-    for draw in range(_CONFIG.copy_draws):
+    for draw in range(CONFIG.strength.copy_draws):
         plan = committed.plan(model, settled, draw)
         secret = draw_copy(key, committed.asset, copy, plan)
         values = copies.spreading(secret, None, len(model)).values(ONE_BIT)

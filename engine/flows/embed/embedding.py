@@ -138,7 +138,7 @@ def embed_on_terms(
     """`embed_copies` with its options as one value."""
     clock = Clock(progress)
     if len({bool(copy) for copy in copies}) > 1:
-        raise InputError(f"a copy without a recipient's name beside copies with one: {SECOND_WATERMARK}")
+        raise InputError(f"some copies have a recipient's name and others have none: {SECOND_WATERMARK}")
     asset = _prepare(model, key, original_sha256, terms, bool(copies and copies[0]), clock)
     for copy in copies:
         yield _mark(asset, key, copy, clock)

@@ -29,8 +29,6 @@ from engine.watermark.keys import POSE, OwnerKey, uniform
 
 __all__ = ["Groundwork", "lay_groundwork"]
 
-_CONFIG = CONFIG.plan
-
 
 @dataclass(frozen=True, eq=False)
 class Groundwork:
@@ -58,7 +56,7 @@ class Groundwork:
         own = self.variant.own_stages(self.model, self.colors)
         config = self.config.quantize
         if self.config.output == "compact":
-            fewer = _CONFIG.compact
+            fewer = CONFIG.plan.compact
             config = replace(config, cells=config.cells // fewer, min_members=config.min_members * fewer)
         return own or quantize(self.model, self.colors, self.extent.radius, config, self._coarse)
 
@@ -170,7 +168,7 @@ def _check_placeable(model: GaussianModel, extent: Extent) -> None:
         )
     kept = means[~stray_rows(model.means)]  # a single one far away would stretch any model to a line
     spread = np.linalg.svd(np.cov(kept.T, bias=True), compute_uv=False)  # variances along the principal axes
-    if spread[1] <= _CONFIG.least_width**2 * spread[0]:
+    if spread[1] <= CONFIG.plan.least_width**2 * spread[0]:
         raise InputError(
             "the centres of this model lie in one point or on a line: a copy of it could not be registered"
         )

@@ -16,7 +16,6 @@ from functools import cached_property
 import numpy as np
 
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.regions.config import CONFIG
 from engine.flows.verify.search import Suspect, Verification
 from engine.flows.verify.suspect_evidence import read_gaussians
 from engine.model import Bool, Float64, Int32, Int64
@@ -24,6 +23,7 @@ from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json
 from engine.registration.pieces import register_pieces
 from engine.registration.registration_search import Registration
+from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import Evidence
@@ -157,7 +157,7 @@ def _shown(said: list[Evidence], opened: OpenedRecord, leaves: Partition) -> tup
     energy = leaves.sums(np.square(said[0].weights * said[0].signal), tint).sum(axis=1)
     order = np.argsort(energy)
     shown = np.ones(leaves.count, dtype=bool)
-    shown[order[np.cumsum(energy[order]) <= CONFIG.faint * energy.sum()]] = False
+    shown[order[np.cumsum(energy[order]) <= CONFIG.regions.faint * energy.sum()]] = False
     codes = shown[leaves.of_codes] & (leaves.of_codes >= 0)
     keep = np.zeros(len(said[0].y), dtype=bool)
     keep[: leaves.chips] = np.repeat(codes, leaves.chips // len(codes))
@@ -209,7 +209,7 @@ def _members(partition: Partition) -> list[tuple[int, Int64]]:
 def _described(number: int, rows: Int64, means: Float64, piece: FoundPiece) -> Json:
     regions = piece.regions
     middle = means[rows].mean(axis=0) if len(rows) else np.zeros(3)
-    radius = float(np.quantile(np.linalg.norm(means[rows] - middle, axis=1), CONFIG.wide)) if len(rows) else 0.0
+    radius = float(np.quantile(np.linalg.norm(means[rows] - middle, axis=1), CONFIG.regions.wide)) if len(rows) else 0.0
     return {
         "region": number,
         "state": State(int(regions.state[number])).name.lower(),

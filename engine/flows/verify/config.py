@@ -1,7 +1,7 @@
 """Tuned constants of a verification, frozen; what users set is in `decision.VerifyConfig` (DESIGN 4.9)."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "VerifyConstants"]
 
@@ -43,9 +43,8 @@ class EvidenceConfig:
 class VerifyConstants:
     """The stages of a verification."""
 
-    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
-    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
+    appearance: AppearanceConfig = AppearanceConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
 
 
 CONFIG = VerifyConstants()
-"""What verifications run with."""

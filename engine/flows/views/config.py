@@ -1,6 +1,6 @@
 """Tuned constants of generated views, a frozen config for each stage (DESIGN 4.1)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "ViewsConfig"]
 
@@ -54,12 +54,11 @@ class CostConfig:
 class ViewsConfig:
     """Views of a model."""
 
-    rig: RigConfig = field(default_factory=RigConfig)
-    display: DisplayConfig = field(default_factory=DisplayConfig)
-    cost: CostConfig = field(default_factory=CostConfig)
+    rig: RigConfig = RigConfig()
+    display: DisplayConfig = DisplayConfig()
+    cost: CostConfig = CostConfig()
     frequency_views: int = 8  # around the model, from which W^freq is measured (`view_set`)
     frequency_size: int = 400  # their side, pixels
 
 
 CONFIG = ViewsConfig()
-"""What views are generated with."""

@@ -3,7 +3,7 @@
 Image values are 0..1; lengths are in pixels where no other unit is named.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["CONFIG", "AlignmentConfig"]
 
@@ -160,8 +160,14 @@ class ResidualConfig:
     least_pixels: int = 64  # fewer do not carry the fits
     noise_floor: float = 0.0005  # standard deviation added to every band: half of what rounding to 8 bits leaves
     clip: float = 3.0  # to which coefficients are clipped, standard deviations of their band
-    # A band is divided by its variance to this power. 1 is right for noise that is independent of the mark, and reads a
-    # picture of washed colors best; 1/2 is kindest to lossy coders, whose noise is not
+    # Where a band keeps this share of faint details, its errors are a renderer's, which lie along edges: coefficients
+    # are divided by the variance around them. Where it keeps less, a lossy coder emptied the quiet places, whose small
+    # variance would be taken for certainty
+    kept: float = 0.7
+    window: int = 9  # coefficients a side around one, whose mean square is its variance
+    prior: float = 25.0  # coefficients for which the variance of the whole band counts in addition
+    # An emptied band is divided by its variance to this power: 1 is right for noise that is independent of the mark,
+    # 1/2 is kindest to lossy coders, whose noise is not
     exponent: float = 0.75
     # Range of details of the reference that are as faint as a mark's: strong ones survive where these do not
     faint: tuple[float, float] = (0.5 / 255, 2.5 / 255)
@@ -173,15 +179,14 @@ class ResidualConfig:
 class AlignmentConfig:
     """The stages of alignment."""
 
-    planar: PlanarConfig = field(default_factory=PlanarConfig)
-    flow: FlowConfig = field(default_factory=FlowConfig)
-    blur: BlurConfig = field(default_factory=BlurConfig)
-    background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    detail: DetailConfig = field(default_factory=DetailConfig)
-    tone: ToneConfig = field(default_factory=ToneConfig)
-    light: LightConfig = field(default_factory=LightConfig)
-    residual: ResidualConfig = field(default_factory=ResidualConfig)
+    planar: PlanarConfig = PlanarConfig()
+    flow: FlowConfig = FlowConfig()
+    blur: BlurConfig = BlurConfig()
+    background: BackgroundConfig = BackgroundConfig()
+    detail: DetailConfig = DetailConfig()
+    tone: ToneConfig = ToneConfig()
+    light: LightConfig = LightConfig()
+    residual: ResidualConfig = ResidualConfig()
 
 
 CONFIG = AlignmentConfig()
-"""What alignment runs with."""

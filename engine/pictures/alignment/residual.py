@@ -3,10 +3,10 @@
 1. Colour: affine change, clipping, tone curve and uneven light are fitted and taken off (`uneven_light.fit_colors`).
 2. Sharpness and position: the residual is regressed on gradients and Laplacians of the reference; what blur,
    resampling and a few hundredths of a pixel leave behind is explained by these.
-3. Reliability: the residual's Haar bands, brightness and chroma apart, are weighed by their own variance, so that
-   bands drowned in noise or texture count little; outliers are clipped. How much of the reference's own faint details
-   a band still shows gives how much of a mark's it would: what a lossy coder emptied is quiet, and still counts
-   little.
+3. Reliability: the residual's Haar bands, brightness and chroma apart, are weighed by their variance around each
+   coefficient: noise, texture and edges that another renderer draws otherwise count little. Outliers are clipped. How
+   much of the reference's own faint details a band still shows is how much of a mark's it would show. What a lossy
+   coder emptied is quiet, and still counts little.
 
 Everything depends on the picture and the unmarked reference alone: no key, no chip, no mark (DESIGN 4.9).
 """
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Bool, Float32
+from engine.model import Bool, Float32, Float64
 from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_curve import Toned, robust_regression
@@ -126,12 +126,26 @@ def _survival(off: npt.NDArray[Any], known: npt.NDArray[Any], share: Float32) ->
 
 
 def _weigh(band: npt.NDArray[Any], share: Float32, kept: float = 1.0) -> Float32:
-    """The band times the square of what it keeps of a faint detail, over its variance to the power `exponent`."""
+    """The band times the square of what it keeps of a faint detail, over its variance: around each coefficient, or, of
+    an emptied band, as a whole and to the power `exponent`."""
+    if not band.size:
+        return band.astype(np.float32)
     count = max(float(share.sum()), 1.0)
     squares = np.square(band)
     variance = float(squares.sum()) / count
     for _ in range(4):  # outliers must not set the scale they are judged by
         variance = float(np.minimum(squares, _CONFIG.clip**2 * variance).sum()) / count
-    variance += _CONFIG.noise_floor**2
-    limit = _CONFIG.clip * np.sqrt(variance)
-    return np.asarray(kept**2 * np.clip(band, -limit, limit) / variance**_CONFIG.exponent, dtype=np.float32)
+    noise, power = np.asarray(variance + _CONFIG.noise_floor**2), _CONFIG.exponent
+    if kept >= _CONFIG.kept:
+        noise = (_sums(squares) + _CONFIG.prior * variance) / (_sums(share) + _CONFIG.prior) + _CONFIG.noise_floor**2
+        power = 1.0
+    limit = _CONFIG.clip * np.sqrt(noise)
+    return np.asarray(kept**2 * np.clip(band, -limit, limit) / noise**power, dtype=np.float32)
+
+
+def _sums(plane: npt.NDArray[Any]) -> Float64:
+    """Of the window around each coefficient; nothing lies outside."""
+    import cv2  # loaded where a picture is read, not where a model is marked
+
+    side = _CONFIG.window
+    return np.asarray(cv2.boxFilter(plane, cv2.CV_64F, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT))

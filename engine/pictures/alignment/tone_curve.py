@@ -175,7 +175,7 @@ def _fit_curve(x: Float64, y: Float32, knots: int, *, far: bool = False) -> _Cur
         fitted = correction[cell] * (1 - t) + correction[cell + 1] * t
         residual = y - x - fitted
         # A mean, with outliers pulled in: a median would be biased where noise meets the limit.
-        # Black says nothing about the spread elsewhere.
+        # Black pixels carry no information about the spread elsewhere.
         judged = residual[y > 1.0 - _CONFIG.clipped] if far else residual
         limit = 4.0 * (1.4826 * float(np.median(np.abs(judged))) + 1e-3) if len(judged) else 1.0
         if far and number == 0:

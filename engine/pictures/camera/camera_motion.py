@@ -9,14 +9,12 @@ c' = c + f (x, y). The last two are for cropped pictures; from afar they look li
 import numpy as np
 
 from engine.model import Camera, Float64
+from engine.pictures.camera.config import CONFIG
 
 __all__ = ["CENTERED", "PARAMETERS", "UNEVEN", "carried", "moved", "normalized", "point_columns", "project", "swung"]
 
 PARAMETERS, CENTERED, UNEVEN = 9, 7, 11
 """Of a motion; of one that leaves the principal point where it is; and with the shape of the pixels (`pixel_shape`)."""
-
-SLANT = 0.02
-"""Pixels by which a row may be off another for a picture's pixels to be upright: what a camera is found to."""
 
 
 def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
@@ -55,7 +53,7 @@ def carried(camera: Camera, matrix: Float64, width: int, height: int) -> Camera 
     """The camera whose picture, of this size in pixels, shows at `matrix` (3, 3) x what this camera's shows at x.
 
     Turns, zooms and cuts of a picture are a camera's, and so are views of it from aside, but for pixels that they make
-    slant: None where these would be off by more than `SLANT`, or where the matrix turns the picture over.
+    slant: None where these would not be `upright` (`ShapeConfig`), or where the matrix turns the picture over.
     """
     from scipy.linalg import rq
 
@@ -65,7 +63,7 @@ def carried(camera: Camera, matrix: Float64, width: int, height: int) -> Camera 
     K, turn = rq(seen)
     signs = np.sign(np.diagonal(K))
     K, turn = K * signs / abs(K[2, 2]), signs[:, None] * turn
-    if abs(K[0, 1] / K[1, 1]) * height > SLANT:
+    if abs(K[0, 1] / K[1, 1]) * height > CONFIG.shape.upright:
         return None
     K[0, 1] = 0.0
     viewmat = np.eye(4)

@@ -18,11 +18,10 @@ from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.pixel_shape import PixelShape
-from engine.pictures.camera.pose_refinement import LEAST_CORRELATION
 from engine.pictures.camera.uneven_pixels import find_shape, refine_shape
 from engine.pictures.camera.view_climb import Climbed, climb
 from engine.pictures.camera.view_points import ViewPoints
-from engine.pictures.camera.view_search import LARGE, RADII, search_views
+from engine.pictures.camera.view_search import search_views
 from engine.pictures.camera.viewer_frame import find_frame
 from engine.pictures.camera.voted_views import VotedView, vote_for_views
 from engine.pictures.landmarks.keypoints import Keypoints
@@ -56,7 +55,7 @@ class Candidate:
     def sure(self) -> bool:
         """Whether costlier searches can be spared: repetitive models have many keypoints that agree on a wrong camera,
         whose render does not correlate."""
-        return self.supported and self.correlation > LEAST_CORRELATION
+        return self.supported and self.correlation > CONFIG.refinement.least_correlation
 
     @property
     def settled(self) -> bool:
@@ -107,13 +106,13 @@ class Candidates:
         """Cameras that fit by outlines, edges and colors: climbed to from the best views and from the voted ones; and
         from close-ups, where nothing fits well."""
         pictures = [PictureEdges.of(self._picture.turned(mirrored)) for mirrored in (False, True)]
-        starts = _starts(far.views, pictures, RADII)
+        starts = _starts(far.views, pictures, CONFIG.edges.radii)
         for view, mirrored in self._voted:
             height, width = pictures[mirrored].small.shape[:2]
             starts.append(Climbed(0.0, view.camera.resized(width, height), int(mirrored)))
         climbed = climb(far.model, pictures, starts)
         if max((each.score for each in climbed), default=0.0) < CONFIG.edges.fitting:
-            nearer = climb(far.model, pictures, _starts(far.parts, pictures, LARGE))
+            nearer = climb(far.model, pictures, _starts(far.parts, pictures, CONFIG.edges.close_radii))
             climbed = sorted([*climbed, *nearer], key=lambda each: -each.score)[: CONFIG.edges.rounds[-1].kept]
         for each in climbed:
             camera, mirrored = self._picture.full(each.camera), bool(each.picture)

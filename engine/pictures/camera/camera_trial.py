@@ -11,7 +11,7 @@ from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.camera.camera_motion import CENTERED
-from engine.pictures.camera.config import Level
+from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import match_closer
 from engine.pictures.camera.pose_ransac import Hypothesis
@@ -20,9 +20,6 @@ from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
 __all__ = ["Picture"]
-
-_EDGE = 0.05
-"""Steps of brightness from which an edge counts in full."""
 
 
 class Picture:
@@ -115,4 +112,4 @@ def _edges(gray: Float32) -> Float32:
     """(2, H, W) gradient of brightness, strong ones counted alike."""
     gy, gx = np.gradient(gray)
     gradient = np.stack([np.asarray(gy), np.asarray(gx)])
-    return np.asarray(gradient / np.sqrt(np.square(gradient).sum(axis=0) + _EDGE**2), dtype=np.float32)
+    return np.asarray(gradient / np.sqrt(np.square(gradient).sum(axis=0) + CONFIG.full_edge**2), dtype=np.float32)

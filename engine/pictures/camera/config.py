@@ -3,7 +3,7 @@
 "Supporting" keypoints are inliers of a candidate. Lengths without a unit are in longer sides of the picture.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,6 +48,14 @@ class KeypointConfig:
     # Correlation of picture and render, before they are matched: of 52 renders that found enough keypoints two had
     # less, of 425 others half
     least_resemblance: float = 0.15
+    ransac_trials: int = 1000  # at each focal length
+    # Where a camera sees the model: longer side of the render that tells, pixels, and the opacity that counts in it;
+    # margin around the model, in its longer side; blur of what is compared, and how far around lies its outline, pixels
+    glance_side: int = 160
+    glance_alpha: float = 0.3
+    surroundings: float = 0.15
+    soft: float = 1.5
+    outline: int = 4
     least_off_center: int = 24  # matches needed to free the principal point
     # Gain in inliers by error for which it is freed: uncropped pictures 0.99 to 1.02, cropped mostly above 1.1
     off_center_gain: float = 1.1
@@ -55,10 +63,15 @@ class KeypointConfig:
 
 @dataclass(frozen=True)
 class VoteConfig:
-    """Votes of keypoints for views of the bank (`voted_views`)."""
+    """Votes of keypoints for views of the bank (`voted_views`, `view_agreement`)."""
 
     nearest: int = 8  # landmarks a keypoint votes for; the next nearest is the yardstick
-    reach: float = 1.5  # votes agree up to so many tolerances of `view_agreement`: their map is rough
+    apart: float = 8.0  # least distance of the two votes that say how a view was turned, sized and shifted, pixels
+    sizes: tuple[float, float] = (0.1, 10.0)  # of the picture in the view
+    # How far a place may lie from where it should be, pixels of a view of 640: another view point moves what is nearer.
+    # Less where the picture shows a part of the view, large: by the square root of how much larger
+    tolerance: float = 20.0
+    reach: float = 1.5  # keypoints of a view are those within so many tolerances: the map of its votes is rough
     views: int = 4  # with most votes, that are rendered and matched to the picture
     # Weight of votes: of five pictures that matches alone do not find, right views have 1.9 and more, wrong up to 1.2
     least_loudness: float = 1.3
@@ -66,8 +79,29 @@ class VoteConfig:
 
 @dataclass(frozen=True)
 class EdgeConfig:
-    """Search over views by outlines, edges and colors (`view_search`), and the climb from there (`view_climb`)."""
+    """Search by outlines, edges and colors (`view_points`, `view_scores`, `picture_edges`, `view_search`), and the
+    climb from there (`view_climb`)."""
 
+    side: int = 96  # longer side of the picture that is searched, and of the views, pixels
+    points: int = 72  # on edges of a view: half on its silhouette, half inside,
+    apart: int = 2  # and so far from each other, pixels
+    colors: int = 160  # points of a view whose colors are compared with the picture's,
+    soft: float = 1.0  # after a blur, pixels,
+    solid: float = 0.8  # where the view is so opaque that they show the model's own
+    least_colors: int = 20  # of these points in the picture, for colors to count
+    most_alike: float = 0.99  # correlation at which colors are clipped
+    # Weight of the colors' correlation, by Fisher's transform, against the edges' standard deviations: of 32 viewers'
+    # pictures 1 and 2 rank the right view alike, 0 ranks it lower, 3 and more lose what a tone curve changed
+    colored: float = 1.0
+    larger: float = 0.3  # power of the size by which a find counts more: small views find edges that fit in large ones
+    bins: int = 8  # of edge directions, in half a turn
+    rolls: int = 24  # tried, in a whole turn
+    radii: tuple[float, ...] = tuple(12.0 * 1.25**k for k in range(11))  # root mean square, of the edges tried, pixels
+    close_radii: tuple[float, ...] = radii[4:]  # of a part that fills a picture
+    beyond: int = 24  # pixels by which the middle of the model may lie outside the picture
+    least_inside: float = 0.35  # share of a view's points that must lie in it
+    off: int = 2  # pixels an edge may be off in the search,
+    off_again: int = 1  # and when the best of it are scored again
     # Share of views, rolls and sizes that are scored at every place after a coarse pass: 99 % of the best twelve are
     # among them (39 viewers' pictures; of views of parts 94 %)
     promising: float = 0.15
@@ -91,11 +125,57 @@ class EdgeConfig:
 
 
 @dataclass(frozen=True)
+class FarConfig:
+    """The model as it looks from afar (`far_views`)."""
+
+    # Gaussians for a small picture: merged, they look more like the model (23 to 28 dB on four scenes, 16 on a city)
+    # than its 30,000 most visible (21 to 26, 14), and are drawn in 1.4 ms instead of 3.3
+    gaussians: int = 10_000
+    sample: int = 200_000  # Gaussians on which voxels in use are counted, at least half as many
+    coefficients: int = 4  # of the spherical harmonics: what light does beyond them is seen from near
+    # Distance of additional views, in that of those given: through a wide lens what is near has another shape, to which
+    # no search from afar leads (of five pictures that were missed two are found)
+    near: float = 0.5
+    # Places of a view, as far from each other as can be, at which a camera so much nearer is aimed: close-ups whose
+    # middle is elsewhere (of eleven that were missed two are found; at six places one more, for twice the time)
+    parts: int = 3
+    nearer: float = 0.35
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """Refinement on brightness (`pose_refinement`); pixels are those of the level."""
+
+    blur: float = 0.8  # of both images before the comparison, pixels: ringing of JPEG is finer than edges
+    # Blur of the first iterations, pixels; it falls to half each time, but not below the last step, so that an edge
+    # overlaps with itself
+    widest_blur: float = 3.0
+    trusted: float = 0.1  # residual that is no outlier before then: a part that does not fit yet is not given up
+    least_alpha: float = 0.5  # more transparent pixels show an unknown background
+    clipped: float = 0.985  # brighter pixels of the picture say nothing about position
+    farthest: float = 2.0  # a motion by more radians, depths, or e-foldings of the zoom at once is wrong
+    far_margin: int = 12  # pixels around the model that are no background while the camera is still off by many
+    least_pixels: int = 150  # fewer usable ones cannot carry so many unknowns
+    least_correlation: float = 0.75  # of brightness, below which a picture shows something else
+    least_detail: float = 0.5  # correlation of detail below which it does
+    # Standard deviations by which detail must correlate: a few strokes of a drawing, on a small piece of a model, came
+    # to 5 with a correlation of 0.65, right cameras of pictures of viewers to 19 and more
+    least_detail_z: float = 7.0
+    # Both correlations that a small picture must show for a larger one to be looked at; right cameras came to 0.9, 0.8
+    hopeful_correlation: float = 0.5
+    hopeful_detail: float = 0.25
+    accelerated: float = 0.5  # smaller steps are taken for linear, pixels
+    memory: int = 2  # steps that the acceleration remembers
+    most_extrapolation: float = 30.0  # it goes at most so many times as far as the last step
+
+
+@dataclass(frozen=True)
 class ShapeConfig:
     """Pixels that are not square (`uneven_pixels`)."""
 
     ratios: tuple[float, ...] = (0.75, 1.33)  # tried besides 1: 4:3 made of 16:9, and back; each serves others, too
     rounds: tuple[float, ...] = (3.0, 2.0, 1.0, 0.5, 0.5)  # of matching and fitting, inlier tolerances
+    upright: float = 0.02  # by which a row may be off another, pixels: what a camera is found to
     square: float = 0.006  # a shape nearer to square is taken as square: undoing it would only blur
     ratio_range: tuple[float, float] = (0.4, 2.5)  # a hostile picture cannot ask for more memory than this
     most_slant: float = 1.0
@@ -137,18 +217,20 @@ class CameraSearchConfig:
     nearly_explained: float = 0.93
     small_levels: tuple[Level, Level] = (Level(256, 8, 0.05), Level(640, 8, 0.05))
     full_level: Level = Level(1600, 12, 0.005)  # or the picture's own size, if that is smaller
+    full_edge: float = 0.05  # step of brightness from which an edge counts in full for a candidate's score
     error_per_step: float = 4.0  # a refined camera is off by at most so many last steps: the rest shows slowly
     # Step of the principal point from which freeing it is tried, pixels: pictures that it explained 3 % better moved by
     # 0.07 and more, uncropped ones mostly by up to 0.04
     principal_point_step: float = 0.05
     clearly_better: float = 1.03  # gain in likelihood to believe another way of drawing; wrong ones came to 1.02
     glance_better: float = 1.02  # the same after one iteration, which is within about 1 % of the end
-    keypoints: KeypointConfig = field(default_factory=KeypointConfig)
-    votes: VoteConfig = field(default_factory=VoteConfig)
-    edges: EdgeConfig = field(default_factory=EdgeConfig)
-    shape: ShapeConfig = field(default_factory=ShapeConfig)
-    frame: FrameConfig = field(default_factory=FrameConfig)
+    keypoints: KeypointConfig = KeypointConfig()
+    votes: VoteConfig = VoteConfig()
+    edges: EdgeConfig = EdgeConfig()
+    far: FarConfig = FarConfig()
+    refinement: RefinementConfig = RefinementConfig()
+    shape: ShapeConfig = ShapeConfig()
+    frame: FrameConfig = FrameConfig()
 
 
 CONFIG = CameraSearchConfig()
-"""What the search runs with."""

@@ -14,30 +14,17 @@ from engine.kernels.jit import side_by_side
 from engine.model import Camera, Float64, GaussianModel, Int64
 from engine.numerics.gaussians import merge_groups
 from engine.pictures.camera.camera_motion import farther, swung
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, describe_view
-from engine.pictures.camera.view_scores import SIDE
 
 __all__ = ["FarViews", "merged_in_voxels"]
 
-ENOUGH = 10_000
-"""Gaussians for a small picture: merged, they look more like the model (23 to 28 dB on four scenes, 16 on a city) than
-its 30,000 most visible (21 to 26, 14), and are drawn in 1.4 ms instead of 3.3."""
-COEFFICIENTS = 4
-"""Of the spherical harmonics, that are drawn: what light does beyond them is seen from near."""
-NEAR = 0.5
-"""Distance of additional views, in the distance of those given: through a wide lens what is near has
-another shape, to which no search from afar leads (of five pictures that were missed two are found)."""
-PARTS, NEARER = 3, 0.35
-"""Places of a view, as far from each other as can be, at which a camera so much nearer is aimed: close-ups whose middle
-is elsewhere (of eleven that were missed two are found; at six places one more, for twice the time)."""
-_SAMPLE = 200_000
-"""Gaussians on which voxels in use are counted, at least half as many."""
 _AXIS = 21
 """Bits that number the voxels of an axis."""
 
 
 class FarViews:
-    """A model seen by cameras all around it, each reduced to `SIDE` pixels; rendered at first use."""
+    """A model seen by cameras all around it, each reduced to `side` pixels; rendered at first use."""
 
     def __init__(self, model: GaussianModel, cameras: Sequence[Camera]) -> None:
         self._whole, self._cameras = model, cameras
@@ -45,21 +32,22 @@ class FarViews:
     @cached_property
     def model(self) -> GaussianModel:
         """What is drawn."""
-        return merged_in_voxels(self._whole.with_(sh=self._whole.sh[:, :COEFFICIENTS]), ENOUGH)
+        seen = self._whole.with_(sh=self._whole.sh[:, : CONFIG.far.coefficients])
+        return merged_in_voxels(seen, CONFIG.far.gaussians)
 
     @cached_property
     def views(self) -> list[ViewPoints]:
-        """From the cameras, and from `NEAR`; views without edges are left out."""
-        return [*self._away, *self._described(farther(view.camera, view.depth, NEAR) for view in self._away)]
+        """From the cameras, and from `near`; views without edges are left out."""
+        return [*self._away, *self._described(farther(view.camera, view.depth, CONFIG.far.near) for view in self._away)]
 
     @cached_property
     def parts(self) -> list[ViewPoints]:
-        """From `NEARER` than the cameras, each aimed at `PARTS` places of what its camera sees."""
+        """From `nearer` than the cameras, each aimed at `parts` places of what its camera sees."""
         return self._described(_aimed(view, place) for view in self._away for place in _places(view))
 
     @cached_property
     def _away(self) -> list[ViewPoints]:
-        return self._described(camera.with_side(SIDE) for camera in self._cameras)
+        return self._described(camera.with_side(CONFIG.edges.side) for camera in self._cameras)
 
     def _described(self, cameras: Iterable[Camera]) -> list[ViewPoints]:
         model = self.model
@@ -72,7 +60,7 @@ def merged_in_voxels(model: GaussianModel, most: int) -> GaussianModel:
     if len(model) <= most:
         return model
     places = model.means.astype(np.float64) - model.means.min(axis=0)
-    sample = places[:: max(1, len(model) // _SAMPLE)]
+    sample = places[:: max(1, len(model) // CONFIG.far.sample)]
     coarse = max(float(places.max()), 1e-30)
     fine = coarse / 2.0 ** (_AXIS - 1)
     for _ in range(10):  # to within one or two percent of the size
@@ -91,11 +79,11 @@ def _voxels(places: Float64, size: float) -> Int64:
 
 
 def _places(view: ViewPoints) -> Float64:
-    """(PARTS, 2) of a view's inner points, pixels, that lie far from each other."""
+    """(parts, 2) of a view's inner points, pixels, that lie far from each other."""
     places = view.inner * view.spread + view.middle
     away = np.square(places - places.mean(axis=0)).sum(axis=1)
     chosen: list[int] = []
-    for _ in range(PARTS):
+    for _ in range(CONFIG.far.parts):
         chosen.append(int(away.argmax()))
         apart = np.square(places - places[chosen[-1]]).sum(axis=1)
         away = apart if len(chosen) == 1 else np.minimum(away, apart)
@@ -105,4 +93,4 @@ def _places(view: ViewPoints) -> Float64:
 def _aimed(view: ViewPoints, place: Float64) -> Camera:
     camera = view.camera
     shape = camera.height, camera.width
-    return farther(swung(camera, place, np.array(shape[::-1]) / 2.0, 0.0, 1.0, shape), view.depth, NEARER)
+    return farther(swung(camera, place, np.array(shape[::-1]) / 2.0, 0.0, 1.0, shape), view.depth, CONFIG.far.nearer)

@@ -15,20 +15,11 @@ import numpy as np
 from engine.model import Camera, Float32, Float64, Int64
 from engine.numerics.resampling import smooth
 from engine.pictures.camera.camera_motion import swung
-from engine.pictures.camera.view_points import SOFT, ViewPoints, gradient
+from engine.pictures.camera.config import CONFIG
+from engine.pictures.camera.view_points import ViewPoints, gradient
 from engine.pictures.camera.view_scores import BINS, PAD, SIDE, look_again
 
 __all__ = ["PictureEdges", "apart", "stacked"]
-
-REACH, NEAR_REACH = 2, 1
-"""Pixels an edge may be off, in the search, and when the best of it are looked at again."""
-LARGER = np.float32(0.3)
-"""Power of the size by which a find counts more: a small view finds edges that fit in any large one."""
-COLORED = 1.0
-"""Weight of the colors' correlation, by Fisher's transform, against the edges' standard deviations: of 32 viewers'
-pictures 1 and 2 rank the right view alike, 0 ranks it lower, 3 and more lose what a tone curve changed."""
-_MOST_ALIKE = 0.99
-_LEAST_INSIDE = 20  # points of a view in the picture from which their colours tell something
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +42,16 @@ class PictureEdges:
     @cached_property
     def maps(self) -> tuple[Float32, Float32]:
         """Responses for each direction of an edge, split for steps of two pixels, and of four; see `apart`."""
-        maps, _ = _responses(self.small, REACH)
+        maps, _ = _responses(self.small, CONFIG.edges.off)
         return apart(maps, 2), apart(maps, 4)
 
     @cached_property
     def _near(self) -> tuple[Float32, Float32]:
-        return _responses(self.small, NEAR_REACH)
+        return _responses(self.small, CONFIG.edges.off_again)
 
     @cached_property
     def _soft(self) -> Float32:
-        return smooth(self.small, SOFT)
+        return smooth(self.small, CONFIG.edges.soft)
 
     def scored(self, views: Sequence[ViewPoints], which: Int64, starts: Float64) -> tuple[Float32, Float64]:
         """How well views fit near where they are thought to be: scores (F,) and the poses (F, 4) that fit best.
@@ -73,8 +64,8 @@ class PictureEdges:
         edges, directions = (stacked(views, name) for name in ("edges", "directions"))
         # One kernel for a column of finds and for views in a row.
         look_again(sharp, inside, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
-        scores *= (poses[:, 1] / SIDE).astype(np.float32) ** LARGER
-        return scores + np.float32(COLORED) * self._colored(views, which, poses), poses
+        scores *= (poses[:, 1] / SIDE).astype(np.float32) ** np.float32(CONFIG.edges.larger)
+        return scores + np.float32(CONFIG.edges.colored) * self._colored(views, which, poses), poses
 
     def _colored(self, views: Sequence[ViewPoints], which: Int64, poses: Float64) -> Float32:
         """(F,) Fisher's transform of the correlation of colours, each channel from its own mean."""
@@ -93,8 +84,8 @@ class PictureEdges:
         )
         both = np.sqrt(np.square(seen).sum(axis=(1, 2)) * np.square(drawn).sum(axis=(1, 2)))
         alike = (seen * drawn).sum(axis=(1, 2)) / np.maximum(both, 1e-6)
-        clipped = np.where(count[:, 0] >= _LEAST_INSIDE, np.clip(alike, -_MOST_ALIKE, _MOST_ALIKE), 0.0)
-        return np.arctanh(clipped).astype(np.float32)
+        clipped = np.clip(alike, -CONFIG.edges.most_alike, CONFIG.edges.most_alike)
+        return np.where(count[:, 0] >= CONFIG.edges.least_colors, np.arctanh(clipped), 0.0).astype(np.float32)
 
     def camera(self, view: ViewPoints, pose: Float64) -> Camera:
         """The camera of the small picture that stands where the view's did and shows it at this pose (4,), with a lens

@@ -18,8 +18,6 @@ __all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
 
 POSE = 6
 """Parameters of a motion without zoom."""
-RANSAC_TRIALS = 1000
-RANSAC_SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +71,14 @@ def _pose(
     import cv2
 
     K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    cv2.setRNGSeed(RANSAC_SEED)  # of this thread
+    cv2.setRNGSeed(0)  # of this thread
     try:
         ok, turn, shift, agreeing = cv2.solvePnPRansac(
             points,
             pixels,
             K,
             None,
-            iterationsCount=RANSAC_TRIALS,
+            iterationsCount=CONFIG.keypoints.ransac_trials,
             reprojectionError=tolerance,
             confidence=0.9999,
             flags=cv2.SOLVEPNP_AP3P,

@@ -25,43 +25,14 @@ from engine.pictures.alignment.brightness_fit import robust_line, robust_scale
 from engine.pictures.alignment.config import CONFIG as ALIGNMENT
 from engine.pictures.alignment.detail import compare_detail, correlation, uncovered
 from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["LEAST_CORRELATION", "Drawing", "Refined", "refine_level"]
+__all__ = ["Drawing", "Refined", "refine_level"]
 
-BLUR = 0.8
-"""Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
-WIDEST_BLUR = 3.0
-"""Blur of the first iterations, pixels; it falls to half each time, but not below the last step, so that an edge
-overlaps with itself."""
-TRUSTED = 0.1
-"""Residuals below this are no outliers before the blur is down: a part that does not fit yet is not given up."""
-LEAST_ALPHA = 0.5
-"""Pixels more transparent than this show an unknown background."""
-CLIPPED = 0.985
-"""Brighter pixels of the picture say nothing about position."""
-FARTHEST = 2.0
-"""A motion is wrong that turns by so many radians, goes so many depths, or zooms by so many e-foldings at once."""
-FAR_MARGIN = 12
-"""Pixels around the model where the background is not looked for while the camera is still off by many."""
-LEAST_PIXELS = 150
-"""Fewer usable pixels than this cannot carry so many unknowns."""
-LEAST_CORRELATION = 0.75
-"""Correlation of brightness below which a picture shows something else."""
-LEAST_DETAIL = 0.5  # correlation of detail below which it does
-HOPEFUL_CORRELATION, HOPEFUL_DETAIL = 0.5, 0.25
-"""What a small picture must show of both for a larger one to be looked at; right cameras came to 0.9 and 0.8."""
-LEAST_DETAIL_Z = 7.0
-"""Standard deviations by which detail must correlate: a few strokes of a drawing, on a small piece of a model, came to
-5 with a correlation of 0.65, right cameras of pictures of viewers to 19 and more."""
-ACCELERATE_BELOW = 0.5
-"""Steps below this are taken for linear, pixels of the level."""
-MEMORY = 2
-"""Steps that the acceleration remembers."""
-MOST_EXTRAPOLATION = 30.0
-"""The acceleration goes at most this many times as far as the last step."""
+_CONFIG = CONFIG.refinement
 _UNKNOWNS = PARAMETERS + 2
 
 
@@ -90,13 +61,13 @@ class Refined:
     @property
     def alike(self) -> bool:
         """Whether the picture shows what the render does, and not something else."""
-        alike = self.uncovered_correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
-        return alike and self.detail_z > LEAST_DETAIL_Z
+        alike = self.uncovered_correlation > _CONFIG.least_correlation and self.detail > _CONFIG.least_detail
+        return alike and self.detail_z > _CONFIG.least_detail_z
 
     @property
     def hopeful(self) -> bool:
         """Whether a larger picture may show it: of what is thin or small, too little is left in this."""
-        return self.uncovered_correlation > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
+        return self.uncovered_correlation > _CONFIG.hopeful_correlation and self.detail > _CONFIG.hopeful_detail
 
     @property
     def gain(self) -> float:
@@ -154,19 +125,19 @@ def refine_level(
     parameters of the motion are `free`, by default all but the principal point. A camera known to be off by at most
     `max_error` pixels is spared the wider blurs.
     """
-    gain, offset, step, width = 1.0, 0.0, max_error, 2.0 * min(max_error, WIDEST_BLUR)
+    gain, offset, step, width = 1.0, 0.0, max_error, 2.0 * min(max_error, _CONFIG.widest_blur)
     memory = Acceleration()
     for iteration in range(iterations):
         image, alpha, depth = render_depth(model, camera, settings=drawing.settings)
         if drawing.blur is not None:
             image, alpha = drawing.blur.apply(image), drawing.blur.apply(alpha)
-        width = min(max(step, 0.5 * width, BLUR), WIDEST_BLUR)
+        width = min(max(step, 0.5 * width, _CONFIG.blur), _CONFIG.widest_blur)
         behind = _behind(picture, alpha, step)
         seen, base = smooth(picture - (1.0 - alpha) * behind, width), smooth(luma(image), width)
         cover = smooth(alpha, width)
         weight = _weights(alpha, depth, picture)
         used = weight > 0
-        if used.sum() < LEAST_PIXELS:
+        if used.sum() < _CONFIG.least_pixels:
             return None
         unit = float(np.median(depth[used]))
         if iteration == 0:
@@ -174,7 +145,7 @@ def refine_level(
         toned = np.float32(gain) * base + np.float32(offset) * cover
         residual = seen - toned
         spread = robust_scale(residual[used])
-        outlying = 2.5 * spread if width == BLUR else max(2.5 * spread, TRUSTED)
+        outlying = 2.5 * spread if width == _CONFIG.blur else max(2.5 * spread, _CONFIG.trusted)
         # The background stands still when the camera moves; what covers it moves.
         gy, gx = np.gradient(toned)
         by, bx = np.gradient(cover)
@@ -203,12 +174,12 @@ def refine_level(
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
             return None
-        move = memory.improve(motion, flow, step) if width == BLUR else motion
-        if not np.abs(move).max() < FARTHEST:
+        move = memory.improve(motion, flow, step) if width == _CONFIG.blur else motion
+        if not np.abs(move).max() < _CONFIG.farthest:
             return None  # a picture of something else: motions that hardly show run away
         camera = moved(camera, move, unit)
         gain, offset = gain + brightness[0], offset + brightness[1]
-        if step < tolerance and width == BLUR:
+        if step < tolerance and width == _CONFIG.blur:
             break
     freed = _solve(system, PARAMETERS)[0]
     shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
@@ -241,7 +212,7 @@ class Acceleration:
 
     def improve(self, motion: Float64, flow: Float64, step: float) -> Float64:
         """The move to make in place of a motion (9,), whose squared flow is motion' flow motion = step^2."""
-        if step > ACCELERATE_BELOW:  # not linear yet
+        if step > _CONFIG.accelerated:  # not linear yet
             self._motions, self._moves = [], []
             return motion
         move = motion
@@ -252,22 +223,23 @@ class Acceleration:
             normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
             normal[np.diag_indices_from(normal)] += 1e-16
             mix = np.linalg.solve(normal, changes.T @ flow @ motion)
-            if np.abs(mix).max() < MOST_EXTRAPOLATION:
+            if np.abs(mix).max() < _CONFIG.most_extrapolation:
                 move = motion - (moves + changes) @ mix
-        self._motions, self._moves = [*self._motions, motion][-MEMORY:], [*self._moves, move][-MEMORY:]
+        self._motions = [*self._motions, motion][-_CONFIG.memory :]
+        self._moves = [*self._moves, move][-_CONFIG.memory :]
         return move
 
 
 def _behind(picture: Float32, alpha: Float32, step: float) -> Float32:
     """(H, W) what lies behind the model; nothing where it cannot be seen."""
-    margin = int(np.clip(2.0 * step, ALIGNMENT.background.margin, FAR_MARGIN)) if np.isfinite(step) else FAR_MARGIN
+    margin = int(np.clip(2.0 * step, ALIGNMENT.background.margin, _CONFIG.far_margin))
     filled = fill_background(picture, alpha, margin)
     return np.zeros_like(picture) if filled is None else filled
 
 
 def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
     """(H, W) how far a pixel shows the model and nothing else."""
-    usable = (alpha > LEAST_ALPHA) & (depth > 0) & (seen < CLIPPED)
+    usable = (alpha > _CONFIG.least_alpha) & (depth > 0) & (seen < _CONFIG.clipped)
     return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
 
 

@@ -12,19 +12,15 @@ import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float64, Int64
+from engine.pictures.camera.config import CONFIG
 
 __all__ = ["agreement_of_views"]
 
 
 MOST = 64
 """Votes of a view that are looked at, the loudest: a mask of bits holds who was counted."""
-APART = 8.0
-"""Least distance of the two votes that say how a view was turned, sized and shifted, pixels."""
-TOLERANCE = 20.0
-"""How far a place may lie from where it should be, pixels of a view of 640: another view point moves what is nearer.
-Less where the picture shows a part of the view, large: by the square root of how much larger."""
-SMALLEST, LARGEST = 0.1, 10.0
-"""Sizes of the picture in the view."""
+APART, TOLERANCE = CONFIG.votes.apart, CONFIG.votes.tolerance
+SMALLEST, LARGEST = CONFIG.votes.sizes
 
 
 @inlined

@@ -25,8 +25,6 @@ from engine.pictures.camera.view_points import ViewPoints, describe_view
 
 __all__ = ["Climbed", "climb"]
 
-_CONFIG = CONFIG.edges
-
 
 @dataclass(frozen=True, eq=False)
 class Climbed:
@@ -43,7 +41,7 @@ def climb(model: GaussianModel, pictures: Sequence[PictureEdges], starts: Sequen
     `model` is merged for small renders; `pictures` are a picture and its mirror image, which the starts index.
     """
     climbing = list(starts)
-    for round_ in _CONFIG.rounds:
+    for round_ in CONFIG.edges.rounds:
         moved = side_by_side(partial(_step, model, pictures, round_), climbing)
         climbing = _distinct([step for step in moved if step is not None], round_.kept)
     return climbing
@@ -82,7 +80,7 @@ def _distinct(found: Sequence[Climbed], count: int) -> list[Climbed]:
         if len(chosen) == count:
             break
         rivals = (other.camera for other in chosen if other.picture == each.picture)
-        if all(_turned(rival, each.camera) >= _CONFIG.same_direction for rival in rivals):
+        if all(_turned(rival, each.camera) >= CONFIG.edges.same_direction for rival in rivals):
             chosen.append(each)
     return chosen
 

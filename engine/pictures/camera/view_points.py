@@ -11,21 +11,13 @@ import numpy as np
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
 from engine.numerics.resampling import smooth
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_scores import spread_out
 from engine.raster import render_depth
 
-__all__ = ["COLORS", "POINTS", "SOFT", "ViewPoints", "describe_view", "gradient"]
+__all__ = ["ViewPoints", "describe_view", "gradient"]
 
-POINTS = 72
-"""Edge points of a view: half on its silhouette, half inside."""
-COLORS = 160
-"""Points of a view whose colours are held against the picture's."""
-APART = 2.0
-"""Least distance of two edge points of a view, pixels."""
-SOLID = 0.8
-"""Opacity from which a point shows the model's own colour."""
-SOFT = 1.0
-"""Blur of colours before they are compared, pixels."""
+_CONFIG = CONFIG.edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +25,10 @@ class ViewPoints:
     """A view's points: places from the middle of its edges in units of their spread, (P, 2) x, y each."""
 
     camera: Camera
-    edges: Float32  # (POINTS, 2)
-    directions: Float32  # (POINTS,) of the gradient there, radians
-    inner: Float32  # (COLORS, 2) places within
-    colors: Float32  # (COLORS, 3) what is seen there, 0..1
+    edges: Float32  # (points, 2)
+    directions: Float32  # (points,) of the gradient there, radians
+    inner: Float32  # (colors, 2) places within
+    colors: Float32  # (colors, 3) what is seen there, 0..1
     middle: Float64  # (2,) of the edges, pixels of the camera
     spread: float  # root mean square distance of the edges from there, pixels
     depth: float  # median, of what is solid, scene units
@@ -49,14 +41,14 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
     image, alpha, depth = render_depth(model, camera)
     image = np.clip(image, 0.0, 1.0)
     points, turns = _edge_points(image, alpha)
-    solid = np.flatnonzero(cv2.erode(alpha, np.ones((3, 3), dtype=np.uint8)) > SOLID)
-    if len(points) < POINTS // 2 or not len(solid):
+    solid = np.flatnonzero(cv2.erode(alpha, np.ones((3, 3), dtype=np.uint8)) > _CONFIG.solid)
+    if len(points) < _CONFIG.points // 2 or not len(solid):
         return None
     middle = points.mean(axis=0)
     spread = float(np.sqrt(np.square(points - middle).sum(axis=1).mean()))
-    filled = np.arange(POINTS) % len(points)  # few points are repeated
+    filled = np.arange(_CONFIG.points) % len(points)  # few points are repeated
     # Spread over what is solid by the golden ratio: a stride would run along a column.
-    chosen = solid[(np.arange(COLORS) * 0.618033988749895 % 1.0 * len(solid)).astype(np.int64)]
+    chosen = solid[(np.arange(_CONFIG.colors) * 0.618033988749895 % 1.0 * len(solid)).astype(np.int64)]
     rows, columns = np.divmod(chosen, alpha.shape[1])
     inner = np.stack([columns, rows], axis=1) + 0.5
     return ViewPoints(
@@ -64,7 +56,7 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
         ((points - middle) / spread)[filled].astype(np.float32),
         turns[filled],
         ((inner - middle) / spread).astype(np.float32),
-        smooth(image, SOFT)[rows, columns],
+        smooth(image, _CONFIG.soft)[rows, columns],
         middle,
         spread,
         float(np.median(depth.ravel()[solid])),
@@ -83,26 +75,26 @@ def gradient(image: Float32) -> tuple[Float32, Float32]:
 
 
 def _edge_points(image: Float32, alpha: Float32) -> tuple[Float64, Float32]:
-    """Points (P, 2), at most `POINTS`, and the directions of their gradients (P,)."""
+    """Points (P, 2), at most `points`, and the directions of their gradients (P,)."""
     import cv2
 
     solid = cv2.erode(alpha, np.ones((5, 5), dtype=np.uint8)) > 0.7
     outline, outline_turns = gradient(alpha[..., None])
     within, within_turns = gradient(image)
-    chosen = _apart(outline * (outline > 0.1), POINTS // 2, np.zeros(alpha.shape, dtype=np.bool_))
+    chosen = _apart(outline * (outline > 0.1), _CONFIG.points // 2, np.zeros(alpha.shape, dtype=np.bool_))
     near = np.zeros(alpha.shape, dtype=np.bool_)
     if len(chosen):
         near[chosen[:, 1], chosen[:, 0]] = True
-    more = _apart(within * solid * (within > 0.01), POINTS - len(chosen), near)
+    more = _apart(within * solid * (within > 0.01), _CONFIG.points - len(chosen), near)
     turns = np.concatenate([outline_turns[chosen[:, 1], chosen[:, 0]], within_turns[more[:, 1], more[:, 0]]])
     return np.concatenate([chosen, more]).astype(np.float64) + 0.5, turns.astype(np.float32)
 
 
 def _apart(strength: Float32, count: int, taken: Bool) -> Int64:
-    """(P, 2) x, y of the strongest pixels that lie `APART` from each other and from those taken."""
+    """(P, 2) x, y of the strongest pixels that lie `apart` from each other and from those taken."""
     import cv2
 
     free = cv2.dilate(taken.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) == 0
     order = np.argsort(-strength.ravel(), kind="stable")[: 20 * count]
-    chosen: Int64 = spread_out(strength, order, count, free, int(APART))
+    chosen: Int64 = spread_out(strength, order, count, free, _CONFIG.apart)
     return chosen

@@ -11,21 +11,14 @@ import numpy.typing as npt
 from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Bool, Float32, Float64, Int64
+from engine.pictures.camera.config import CONFIG
 
 __all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views", "spread_out"]
 
-SIDE = 96
-"""Longer side of the picture that is searched, and of the views, pixels."""
-BINS = 8
-"""Bins of edge directions, in half a turn."""
-ROLLS = 24
-"""Rolls tried in a whole turn."""
-BEYOND = SIDE // 4
-"""Pixels by which the middle of the model may lie outside the picture."""
+SIDE, BINS, ROLLS = CONFIG.edges.side, CONFIG.edges.bins, CONFIG.edges.rolls
+BEYOND, LEAST_INSIDE = CONFIG.edges.beyond, CONFIG.edges.least_inside
 PAD = 2 * SIDE
 """Pixels of nothing kept around the picture: points of a view may lie so far outside."""
-_LEAST_INSIDE = 0.35
-"""Share of a view's points that must lie in the picture."""
 RUN = 8
 """Jobs that share their memory."""
 
@@ -82,7 +75,7 @@ def _look_again(maps, inside, places, directions, views, starts, room, scores, p
                                 continue
                             said += maps[bins[p], row, column]
                             counted += inside[row, column]
-                        if counted >= _LEAST_INSIDE * points and said / np.sqrt(counted) > best:
+                        if counted >= LEAST_INSIDE * points and said / np.sqrt(counted) > best:
                             best = said / np.sqrt(counted)
                             poses[f, 0], poses[f, 1] = angle, radius
                             poses[f, 2], poses[f, 3] = starts[f, 2] + dx, starts[f, 3] + dy
@@ -163,7 +156,7 @@ def _score_views(maps, places, directions, jobs, radii, size, roots, room, score
                     along += counted[j, i]
                     counted[j, i] = along + (counted[j - 1, i] if j > 0 else 0)
                     inside = counted[j, i]
-                    if inside >= _LEAST_INSIDE * points and said[j, i] > best * roots[inside]:
+                    if inside >= LEAST_INSIDE * points and said[j, i] > best * roots[inside]:
                         best = said[j, i] / roots[inside]
                         found[job, 0], found[job, 1] = step * i - BEYOND, step * j - BEYOND
             scores[job] = best

@@ -17,19 +17,15 @@ from engine.model import Camera, Float32, Float64, Int64
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.picture_edges import PictureEdges, stacked
 from engine.pictures.camera.view_points import ViewPoints
-from engine.pictures.camera.view_scores import ROLLS, SIDE, score_views
+from engine.pictures.camera.view_scores import ROLLS, score_views
 
-__all__ = ["LARGE", "RADII", "search_views"]
+__all__ = ["search_views"]
 
-RADII = tuple(0.125 * SIDE * 1.25**k for k in range(11))
-"""Sizes tried: how far, root mean square, the points lie from their middle, pixels."""
-LARGE = RADII[4:]
-"""Sizes of a part that fills a picture."""
 _CONFIG = CONFIG.edges
 
 
 def search_views(
-    views: Sequence[ViewPoints], picture: PictureEdges, count: int, radii: tuple[float, ...] = RADII
+    views: Sequence[ViewPoints], picture: PictureEdges, count: int, radii: tuple[float, ...] = _CONFIG.radii
 ) -> list[tuple[float, Camera]]:
     """The `count` best cameras of the small picture, each with its score, by falling score; `radii` are the sizes
     tried.

@@ -15,12 +15,7 @@ from engine.raster import render_depth
 
 __all__ = ["Window"]
 
-GLANCE, VISIBLE = 160, 0.3
-"""Longer side of the render that tells where in the picture the model is, pixels, and the opacity that counts."""
-SURROUNDINGS = 0.15
-"""Margin around it, in its longer side: the camera is not quite right yet."""
-SOFT, OUTLINE = 1.5, 4
-"""Blur of what is compared at a glance, and how far around the model its outline may lie, pixels of it."""
+_CONFIG = CONFIG.keypoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +34,20 @@ class Window:
         """Where a camera sees the model, in a picture of this brightness (H, W); None where it does not."""
         import cv2
 
-        small = camera.with_side(GLANCE)
+        small = camera.with_side(_CONFIG.glance_side)
         image, alpha, _ = render_depth(model, small)
-        seen = alpha > VISIBLE
+        seen = alpha > _CONFIG.glance_alpha
         rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
         if not len(rows):
             return None
         low, high = np.array([rows[0], columns[0]]), np.array([rows[-1], columns[-1]]) + 1
-        margin = int(np.ceil(SURROUNDINGS * (high - low).max()))
+        margin = int(np.ceil(_CONFIG.surroundings * (high - low).max()))
         near = cv2.dilate(seen.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
         low, high = np.maximum(low - margin, 0), np.minimum(high + margin, seen.shape)
         shown = near[low[0] : high[0], low[1] : high[1]]
         scale = np.array([camera.height / small.height, camera.width / small.width])
         (top, left), (bottom, right) = np.floor(low * scale).astype(int), np.ceil(high * scale).astype(int)
-        factor = max(1.0, CONFIG.keypoints.closer_side / max(bottom - top, right - left))
+        factor = max(1.0, _CONFIG.closer_side / max(bottom - top, right - left))
         alike = _resemblance(resized(gray, small.width, small.height), luma(image), alpha)
         return cls(slice(int(top), int(bottom)), slice(int(left), int(right)), camera, float(factor), shown, alike)
 
@@ -77,9 +72,10 @@ def _resemblance(seen: Float32, drawn: Float32, alpha: Float32) -> float:
     picture (h, w), and a render of this opacity. Tone curves spoil the first, many leaves the second."""
     import cv2
 
-    inside = alpha > VISIBLE
-    around = cv2.dilate(inside.astype(np.uint8), np.ones((2 * OUTLINE + 1, 2 * OUTLINE + 1), np.uint8)) > 0
+    inside = alpha > _CONFIG.glance_alpha
+    side = 2 * _CONFIG.outline + 1
+    around = cv2.dilate(inside.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
     behind = float(np.median(seen[~around])) if not around.all() else 0.0
-    seen, drawn = (smooth(each, SOFT) for each in (seen, drawn + (1.0 - alpha) * np.float32(behind)))
+    seen, drawn = (smooth(each, _CONFIG.soft) for each in (seen, drawn + (1.0 - alpha) * np.float32(behind)))
     steps = (np.hypot(*np.gradient(each))[around] for each in (seen, drawn))
     return max(correlation(seen[inside], drawn[inside]), correlation(*steps))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from engine.model import Camera, Float64, Int64
 from engine.pictures.camera.camera_motion import project, swung
 from engine.pictures.camera.config import CONFIG
-from engine.pictures.camera.view_agreement import TOLERANCE, agreement_of_views
+from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 
@@ -55,7 +55,7 @@ def vote_for_views(
     for n in np.argsort(-loudness, kind="stable")[: int((loudness > 0).sum())]:
         a, b, c, d = maps[n]
         off = (spots @ (1, 1j)) * complex(a, b) + complex(c, d) - places @ (1, 1j)
-        reach = _CONFIG.reach * TOLERANCE * min(1.0, np.hypot(a, b)) ** 0.5
+        reach = _CONFIG.reach * _CONFIG.tolerance * min(1.0, np.hypot(a, b)) ** 0.5
         agreeing = np.flatnonzero((views == names[n]) & (np.abs(off) < reach))
         camera = _camera(cameras[names[n]], maps[n], size)
         found.append(VotedView(float(loudness[n]), camera, agreeing // _CONFIG.nearest, nearest[agreeing]))

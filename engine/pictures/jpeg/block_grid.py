@@ -37,8 +37,6 @@ STANDARD_LUMA_TABLE = np.array(
 """ITU-T T.81, table K.1: what libjpeg scales by quality, and so nearly every encoder."""
 
 LEAST_STEP = CONFIG.least_step
-
-
 _QUALITIES = range(CONFIG.qualities[0], CONFIG.qualities[1] + 1)
 
 

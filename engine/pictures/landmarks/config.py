@@ -23,4 +23,3 @@ class LandmarksConfig:
 
 
 CONFIG = LandmarksConfig()
-"""What landmarks are made and matched with."""

@@ -277,7 +277,7 @@ def test_a_model_too_small_for_its_message(raw: httpx.Client, owner_key: str) ->
         "/v1/embed", data={"key_id": owner_key, "bits": "256"}, files={"model": small}, headers={"Prefer": "wait=60"}
     )
     assert (answer.status_code, answer.json()["type"]) == (422, "urn:mark3dgs:problem:capacity")
-    assert answer.json()["body"] == 256
+    assert answer.json()["wanted"] == 256
 
 
 def test_near_duplicates_share_a_budget(alice: Client, marked: Embedded, model: bytes) -> None:

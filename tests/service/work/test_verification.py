@@ -78,7 +78,6 @@ def test_too_little_evidence(verify: Ask, marked: Marked, tmp_path: Path) -> Non
     reply = verify(model=str(tmp_path / "scrap.ply"), false_claim_rate=1e-300)
     assert reply["claim"]["verdict"] == "inconclusive"
     assert checks(reply)["evidence"] is False
-    assert "as much evidence" in reply["checks"][-1]["text"]
 
 
 def test_the_right_one_of_several_and_all_tries_count(verify: Ask, marked: Marked, tmp_path: Path) -> None:
