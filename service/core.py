@@ -76,12 +76,12 @@ class Service:
         return url.rstrip("/")
 
     def set_public_url(self, caller: Caller, url: str) -> None:
-        """Store the address of this service, for later claims and links; "conflict" where the setting has one."""
+        """Store the address of this service for later claims and links, "" for none; "conflict" where a setting has it."""
         if self.settings.public_url:
             raise Problem("conflict", f"MARK3DGS_PUBLIC_URL sets the address: {self.settings.public_url}")
         with self.db.exclusive() as connection:
             connection.execute(sa.delete(facts).where(facts.c.name == PUBLIC_URL))
-            connection.execute(facts.insert().values(name=PUBLIC_URL, value=url.rstrip("/")))
+            connection.execute(facts.insert().values(name=PUBLIC_URL, value=url))
             audit.append(connection, caller.tenant, "service.addressed", {"public_url": url}, caller.tenant)
 
     def do_task(self, run: Run, task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:

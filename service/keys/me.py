@@ -4,8 +4,9 @@ from typing import Annotated
 
 import sqlalchemy as sa
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field, HttpUrl, JsonValue, UrlConstraints
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, JsonValue
 
+from service.claims.schema import Url
 from service.core import Service
 from service.db.schema import api_keys, tenants
 from service.http.access import Admin, Anyone, Core
@@ -62,6 +63,12 @@ class Me(BaseModel):
     service: About
 
 
+def _bare(url: HttpUrl) -> HttpUrl:
+    if url.query or url.fragment:
+        raise ValueError("provide scheme, host and path alone")
+    return url
+
+
 _EXAMPLE: JsonValue = {"name": "Studio Acme, Hamburg", "public_url": "https://mark.acme.example"}
 
 
@@ -72,8 +79,8 @@ class Naming(RequestBody):
     name: str | None = Field(
         None, min_length=1, max_length=MOST_CHARACTERS, description="Display name of the tenant, in later claims."
     )
-    public_url: Annotated[HttpUrl, UrlConstraints(max_length=400)] | None = Field(
-        None, description="Address of the service in later claims and links: scheme, host and path."
+    public_url: Annotated[Url, AfterValidator(_bare)] | None = Field(
+        None, description="Address of the service in later claims and links: scheme, host and path; null removes it."
     )
 
 
@@ -93,15 +100,13 @@ def update_me(body: Naming, core: Core, caller: Admin) -> Me:
 
     The address is entered by keys of the first tenant and of scope `operator`, where MARK3DGS_PUBLIC_URL sets none.
     """
-    if (url := body.public_url) is not None:
-        if url.username or url.password or url.query or url.fragment:
-            raise Problem("invalid-request", "body.public_url: give scheme, host and path alone")
-        if not _is_host(caller):
-            raise Problem("forbidden", "the address of the service is entered by its first tenant or its operator")
+    addressed = "public_url" in body.model_fields_set
+    if addressed and not _is_host(caller):
+        raise Problem("forbidden", "the address of the service is entered by its first tenant or its operator")
     if body.name is not None:
         check_tenant(body.name)
-    if url is not None:
-        core.set_public_url(caller, str(url))
+    if addressed:
+        core.set_public_url(caller, str(body.public_url or ""))
     if body.name is not None:
         name_tenant(core.db, caller.tenant, body.name)
     return _seen(core, caller)

@@ -65,7 +65,7 @@ function startGate() {
     const field = $("#api-key");
     setApiKey(field.value.trim());
     try {
-      await signIn();
+      signIn(await getJson("/v1/me"));
       field.value = "";
       fill($("#gate-problem"));
       if (!who().is_named && may("admin") && !location.hash.includes("/")) history.replaceState(null, "", "#settings");
@@ -89,7 +89,7 @@ window.addEventListener("hashchange", () => {
   if (location.hash !== "#main") show(true);
 });
 if (apiKey()) {
-  await signIn().catch((error) => {
+  await getJson("/v1/me").then(signIn, (error) => {
     if (error.status === 401) setApiKey("");
     showProblem($("#gate-problem"), error);
   });

@@ -1,5 +1,4 @@
 // The API key, what it may do, and the names of the jobs that this tab started: kept in this tab only.
-import { getJson } from "./api.js";
 
 const NAME = "mark3dgs.api-key";
 const JOBS = "mark3dgs.jobs";
@@ -16,9 +15,9 @@ export function setApiKey(key) {
   for (const tell of listeners) tell(key);
 }
 
-/** Learn what the key may do; refused where it is none. */
-export async function signIn() {
-  me = await getJson("/v1/me");
+/** Keep what the service says of the key: the answer of /v1/me. */
+export function signIn(answer) {
+  me = answer;
 }
 
 /** The key, its tenant and the service, once signed in; null before. */

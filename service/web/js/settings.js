@@ -1,5 +1,5 @@
 // What an administrator enters once: the owner's name and the service's address; and API keys with chosen scopes.
-import { getJson, postJson, request } from "./api.js";
+import { postJson, request } from "./api.js";
 import { copyButton } from "./copy.js";
 import { $, fill, h, say } from "./dom.js";
 import { pager } from "./pages.js";
@@ -38,10 +38,9 @@ export function startSettings(done) {
   $("#owner-form").addEventListener("submit", async (event) => {
     event.preventDefault();
     const first = !who().is_named;
-    const changed = address.disabled || !address.value.trim() ? {} : { public_url: address.value.trim() };
+    const changed = address.disabled ? {} : { public_url: address.value.trim() || null };
     try {
-      await request("/v1/me", { method: "PATCH", json: { name: name.value.trim(), ...changed } });
-      await signIn();
+      signIn(await (await request("/v1/me", { method: "PATCH", json: { name: name.value.trim(), ...changed } })).json());
       if (first) done();
       else enter();
       say("Saved");

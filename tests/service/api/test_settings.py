@@ -61,6 +61,7 @@ def test_later_claims_name_owner_and_address(fresh: Service) -> None:
     shared = owner.client.post(f"/v1/claims/{document['claim_id']}/share").json()["url"]
     assert shared.startswith(f"{ADDRESS}/shared/")
     assert owner.client.patch("/v1/me", json={"name": "Nord"}).json()["service"]["public_url"] == ADDRESS
+    assert owner.client.patch("/v1/me", json={"public_url": None}).json()["service"]["public_url"] == ""
     assert verify_log(fresh.db).ok
 
 
