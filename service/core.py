@@ -76,7 +76,7 @@ class Service:
         return url.rstrip("/")
 
     def set_public_url(self, caller: Caller, url: str) -> None:
-        """Store the address of this service for later claims and links, "" for none; "conflict" where a setting has it."""
+        """Store the address of this service for later links, "" for none; "conflict" where a setting has it."""
         if self.settings.public_url:
             raise Problem("conflict", f"MARK3DGS_PUBLIC_URL sets the address: {self.settings.public_url}")
         with self.db.exclusive() as connection:

@@ -1,4 +1,4 @@
-"""Commands and programs of README.md, docs/GUIDE.md and docs/SERVICE.md, run as written against a running service, give
+"""Commands and programs of README.md, GUIDE.md and SERVICE.md, run as written against a running service, give
 answers of the form that is shown."""
 
 from __future__ import annotations
