@@ -56,7 +56,7 @@ function digests([first, ...others]) {
 /** A fact with its drawing. */
 function section(kind, title, { facts }, label, draw) {
   const { text } = facts.find((found) => found.label === label);
-  return h("section", { class: kind }, h("h2", {}, title), h("p", {}, `${text[0].toUpperCase()}${text.slice(1)}`), draw(text));
+  return h("section", { class: kind }, h("h2", {}, title), h("p", {}, text), draw(text));
 }
 
 function check({ ok, text, code, outcome }) {

@@ -67,7 +67,7 @@ function startApiKeys() {
     more: $("#api-key-more"),
     failed,
   });
-  fill($("#api-key-scopes"), h("legend", {}, "It may"), Object.entries(SCOPES).map(([scope, text]) =>
+  fill($("#api-key-scopes"), h("legend", {}, "Scopes"), Object.entries(SCOPES).map(([scope, text]) =>
     h("label", {}, h("input", { type: "checkbox", name: "scope", value: scope }), h("span", {}, scope, h("small", {}, text)))));
   $("#api-key-form").addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -103,7 +103,7 @@ function startApiKeys() {
 }
 
 function line({ id, label, scopes, created_at: made, revoked_at: revoked }, changed, failed) {
-  const state = revoked ? `revoked ${when(revoked)}` : `made ${when(made)}`;
+  const state = revoked ? `revoked ${when(revoked)}` : `created ${when(made)}`;
   const revoke = h("button", { type: "button", class: "quiet" }, "Revoke", h("span", { class: "unseen" }, ` ${label || id}`));
   revoke.addEventListener("click", async () => {
     try {
