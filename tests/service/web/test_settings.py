@@ -49,6 +49,7 @@ def test_the_owner_is_asked_for_once(browser: Browser, tmp_path: Path) -> None:
         sign_in(page, new.api_key)
         page.get_by_role("heading", name="Mark a model").wait_for()
         page.get_by_role("link", name="Settings").click()
+        page.get_by_role("heading", name="Settings").wait_for()
         assert page.get_by_label("Name of the owner").input_value() == NAME
         assert page.locator("main img").count() == 0
         page.close()
@@ -62,6 +63,7 @@ def test_an_address_that_the_operator_set_is_shown_as_fixed(page: Page, served: 
     page.route("**/v1/me", lambda route: route.fulfill(json=me))
     page.reload()
     page.get_by_role("link", name="Settings").click()
+    page.get_by_role("heading", name="Settings").wait_for()
     address = page.get_by_label("Public address")
     assert (address.input_value(), address.is_disabled()) == ("https://set.example", True)
     assert page.get_by_text("Set by the operator").is_visible()
@@ -127,6 +129,7 @@ def test_a_key_without_originals_is_offered_none(watched: Any, served: Served) -
 
 def test_an_api_key_is_made_with_chosen_scopes_and_revoked(page: Page, served: Served) -> None:
     page.get_by_role("link", name="Settings").click()
+    page.get_by_role("heading", name="Settings").wait_for()
     page.get_by_label("Name of the new API key").fill("Build <b>server</b>")
     page.get_by_role("button", name="Create an API key").click()
     page.get_by_text("No scope selected").wait_for()
