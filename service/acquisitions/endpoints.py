@@ -11,10 +11,10 @@ from service.acquisitions.archive import MEDIA_TYPE
 from service.acquisitions.fetching import fetch
 from service.claims.schema import Url
 from service.core import Service
-from service.db import missing, own, page
+from service.db import missing, own
 from service.db.schema import acquisitions
 from service.http import idempotency
-from service.http.access import Admin, After, Core, Limit, Reader, Verifier, may
+from service.http.access import Admin, After, Core, Limit, Listed, Reader, Verifier, may
 from service.http.budgets import spend
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.file_responses import Want, file_responses, send_blob
@@ -72,11 +72,8 @@ class MadeAcquisition(Acquisition):
     timestamp_failure: str = Field("", description="Why there is no time stamp; empty where there is one.")
 
 
-class AcquisitionList(BaseModel):
+class AcquisitionList(Listed[Acquisition]):
     """A page of acquisitions, newest first."""
-
-    items: list[Acquisition]
-    next: str | None
 
 
 @router.post(
@@ -138,9 +135,7 @@ async def _acquired(core: Service, caller: Caller, body: NewAcquisition) -> tupl
 @router.get("", operation_id="listAcquisitions", responses=OF_LIST)
 def list_acquisitions(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> AcquisitionList:
     """Acquisitions of this tenant, newest first."""
-    with core.db.read() as connection:
-        rows, following = page(connection, acquisitions, caller.tenant, limit, after)
-    return AcquisitionList(items=[Acquisition.model_validate(row) for row in rows], next=following)
+    return AcquisitionList.of(core, acquisitions, caller.tenant, limit, after)
 
 
 @router.get("/{acquisition_id}", operation_id="getAcquisition", responses=OF_OWN)

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
-from service.db import own, page, schema
-from service.http.access import Admin, After, Core, Limit
+from service.db import own, schema
+from service.http.access import Admin, After, Core, Limit, Listed
 from service.http.error_responses import OF_LIST, responses
 from service.http.forms import RequestBody
 from service.http.results import Time, TimeOrNot
@@ -44,11 +44,8 @@ class MadeApiKey(ApiKeyView):
     token: str = Field(description="The key itself. It is never shown again.")
 
 
-class ApiKeyList(BaseModel):
+class ApiKeyList(Listed[ApiKeyView]):
     """A page of API keys, newest first."""
-
-    items: list[ApiKeyView]
-    next: str | None
 
 
 @router.post(
@@ -70,9 +67,7 @@ def create_api_key(body: NewApiKey, core: Core, caller: Admin, response: Respons
 @router.get("", operation_id="listApiKeys", responses=OF_LIST)
 def list_api_keys(core: Core, caller: Admin, limit: Limit = 20, after: After = "") -> ApiKeyList:
     """API keys of this tenant, newest first; revoked ones, too."""
-    with core.db.read() as connection:
-        rows, following = page(connection, schema.api_keys, caller.tenant, limit, after)
-    return ApiKeyList(items=[ApiKeyView.model_validate(row) for row in rows], next=following)
+    return ApiKeyList.of(core, schema.api_keys, caller.tenant, limit, after)
 
 
 @router.delete(
