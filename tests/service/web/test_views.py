@@ -111,6 +111,7 @@ def test_nothing_moves_where_less_motion_is_wanted(browser: Browser, served: Ser
         page.close()
 
 
+@pytest.mark.long
 def test_api_pages_are_dark_where_that_is_wanted(browser: Browser, served: Served) -> None:
     painted = """() => ["html", ".swagger-ui", ".opblock-summary-description", ".info .title"].map((name) => {
       const style = getComputedStyle(document.querySelector(name));
