@@ -163,7 +163,11 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
                 f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
             )
         _hand_over(console, token, settings.data_dir / "admin.key")
-        console.note(f"  your name    is {FIRST_TENANT!r} in claims until you enter one on the page")
+        console.note(
+            f"  your name    is {FIRST_TENANT!r} in claims: enter it on the page, or by mark3dgs tenant {FIRST_TENANT} NAME"
+        )
+        if not settings.public_url:
+            console.note("  address      none in claims and links: enter it on the page, or set MARK3DGS_PUBLIC_URL")
     return settings, service
 
 
