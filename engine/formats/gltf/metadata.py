@@ -1,6 +1,6 @@
 """What a glTF asset says of its rights and its provenance: the extension KHR_xmp_json_ld, read and written.
 
-Specification: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_xmp_json_ld (complete, ratified): XMP (ISO 16684-1) as JSON,
+Specification: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_xmp_json_ld (ratified): XMP (ISO 16684-1) as JSON,
 in packets, of which `asset` names the one that holds for the whole file. `dcterms:provenance` is where C2PA's
 specification has the address of a manifest that lies elsewhere. It is a statement, which anyone can change.
 """
