@@ -46,7 +46,7 @@ def screen(
 
 
 def scores(service: Service, run: Run, suspect: Mapping[str, Any], rows: Sequence[Any]) -> dict[str, int]:
-    """How much speaks for each alike original of these rows, 1 to 100; nothing for those that cannot be compared."""
+    """Score (50 or 100) of each alike original of these rows; nothing of those that cannot be compared."""
     return dict(_ask(service, run, suspect, rows)["scores"]) if rows else {}
 
 

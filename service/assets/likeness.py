@@ -1,8 +1,7 @@
 """Which manifests belong to something like an uploaded model or picture: stripped credentials are found again.
 
-No owner key, record or mark is looked at. The index compares with what registered assets look like, so the answer is
-the same for a marked copy, for the original and for a copy of someone else's making; and only assets whose owner
-published that much take part.
+No owner key, record or mark is looked at. The index compares with sketches of published models, which whoever has such
+a model could make, too; and only assets whose owner published that much take part.
 """
 
 import asyncio
@@ -30,16 +29,16 @@ SEARCH_SECONDS, INDEX_SECONDS = 60.0, 600.0
 
 
 async def find_alike(service: Service, caller: Caller, path: Path) -> list[tuple[str, int]]:
-    """Ids of manifests, each with its score (1 to 100), the likeliest asset's first and of one asset the newest.
+    """Ids of manifests, each with its score (50 or 100), the highest first; of equal ones those of the asset that was
+    registered first, which later lookalikes cannot displace; of one asset the newest first.
 
     unreadable-model or unreadable-image where it is neither; unsupported-media-type for cameras; budget-exceeded where
     too many of the tenant's questions are being answered, or were asked today about things like one asset.
     """
     joined = manifests.join(assets, manifests.c.asset == assets.c.id).join(published, published.c.asset == assets.c.id)
     query = sa.select(manifests.c.id, assets.c.original_sha256).select_from(joined).where(published.c.by_content)
-    rows = await asyncio.to_thread(
-        lambda: service.db.query(query.order_by(manifests.c.created_at.desc(), manifests.c.id)).all()
-    )
+    query = query.order_by(assets.c.registered_at, assets.c.id, manifests.c.created_at.desc(), manifests.c.id)
+    rows = await asyncio.to_thread(lambda: service.db.query(query).all())
     this = (secrets.token_hex(16), "by content")  # a question of its own: two askers of one share no file
     found = json.loads(await once(service, caller.tenant, this, lambda: _search(service, caller, path, rows)))
     if found:

@@ -49,7 +49,7 @@ class AlikeMatch(Match):
     """A manifest of an asset that the content is like."""
 
     similarityScore: int = Field(
-        ge=1, le=100, description="50: just enough to be no coincidence; in tens. Says nothing of a mark."
+        ge=50, le=100, description="100: clearly alike; 50: close to the limit below which strangers stay."
     )
 
 

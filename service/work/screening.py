@@ -14,6 +14,8 @@ from service.work.process import Progress, Reply, Request
 
 LIKELY_MODELS, LIKELY_PICTURES = 1, 5
 """Assets that are worth a look where none is alike: a picture may show too little for the index, and enough to read."""
+CLEAR = 4.0
+"""From so many times the votes that are enough on, likeness is clear. Finer steps would show slight changes of a model."""
 
 
 def screen(request: Request, folder: Path, progress: Progress) -> Reply:
@@ -34,14 +36,8 @@ def screen(request: Request, folder: Path, progress: Progress) -> Reply:
     unknown = [name for name in unknown if name in among]
     if request.get("plain") and model is not None and alike + unknown:
         write_model(model, folder / request["plain"])
-    scores = {each.name: _score(each.votes, enough) for each in found if each.alike}
+    scores = {each.name: 100 if each.votes >= CLEAR * enough else 50 for each in found if each.alike}
     return {"alike": alike, "likely": likely, "unknown": unknown, "scores": scores}
-
-
-def _score(votes: float, enough: float) -> int:
-    """50 where it is just enough, 100 where it is many times that; in tens: a finer answer to slight changes of one
-    model would say more about it than that it is alike."""
-    return 10 * round(10.0 * votes / (votes + enough))
 
 
 def index(request: Request, folder: Path, progress: Progress) -> Reply:
