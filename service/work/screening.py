@@ -15,7 +15,7 @@ from service.work.process import Progress, Reply, Request
 LIKELY_MODELS, LIKELY_PICTURES = 1, 5
 """Assets that are worth a look where none is alike: a picture may show too little for the index, and enough to read."""
 CLEAR = 4.0
-"""From so many times the votes that are enough on, likeness is clear. Finer steps would show slight changes of a model."""
+"""So many times the votes that are enough make likeness clear. Finer steps would show slight changes of a model."""
 
 
 def screen(request: Request, folder: Path, progress: Progress) -> Reply:
