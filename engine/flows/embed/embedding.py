@@ -39,7 +39,7 @@ from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import message_hex
-from engine.watermark.planning import predict_z
+from engine.watermark.planning import predict_claim
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,8 @@ class EmbedReport(Report):
     psnr_worst_view: float  # dB, of the mark alone
     ssim_worst_view: float  # of the mark alone
     psnr_total_worst_view: float  # dB, with pruning and quantization
-    predicted_z_per_bit: float  # of one bad picture
+    predicted_z_render: float  # of a claim from one own render of 800 x 800 pixels, at JPEG 10
+    predicted_z_viewer: float  # of a claim from one screenshot of a viewer, at JPEG 80
     capacity_bits: int  # that a model carries
     picture_bits: int  # that one picture carries
     chips: int  # of the tint
@@ -229,7 +230,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         total = fidelity.psnr_db
         if delivery.model is not asset.original.model:
             total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
-    predicted = predict_z(plan.energies * ground.picture_scale, owner.drawn.tint.bit_of, bits)
+    predicted = predict_claim(plan.energies * ground.picture_scale)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
         gaussians_out=len(marked),
@@ -240,7 +241,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         psnr_worst_view=fidelity.psnr_db,
         ssim_worst_view=fidelity.ssim,
         psnr_total_worst_view=total,
-        predicted_z_per_bit=float(predicted.min(axis=1).mean()),
+        predicted_z_render=predicted.render,
+        predicted_z_viewer=predicted.viewer,
         capacity_bits=owner.capacity,
         picture_bits=owner.pictured,
         chips=plan.layout.chips,
