@@ -157,6 +157,7 @@ class PublicMark:
     image: Float32  # (H, W, 3)
     signs: Float64  # (C,) sign of each chip's displacement in it
     blur: Blur | None = None  # of the picture; `image` has it
+    steep: Float32 | None = None  # (N, 3) share of a change of each Gaussian's colors that the viewer shows
 
 
 def gather_image_evidence(
@@ -203,11 +204,11 @@ def gather_image_evidence(
     run_turns(weigh_one, len(cotangents), thread_count())  # most of it is one thread's, and lets go of Python's lock
 
     def read(cotangent: Float32) -> tuple[Float32, Float32]:
-        if geometry is None:
-            pulled = view.backward_colors(cotangent)
-            return pulled, _gathered(layout, pulled).astype(np.float32)
-        pulled, moved = geometry.pull(view, cotangent)
-        return pulled, np.concatenate([_gathered(layout, pulled).astype(np.float32), moved])
+        pulled, moved = (view.backward_colors(cotangent), None) if geometry is None else geometry.pull(view, cotangent)
+        if mark.steep is not None:
+            pulled = pulled * mark.steep
+        colors = _gathered(layout, pulled).astype(np.float32)
+        return pulled, colors if moved is None else np.concatenate([colors, moved])
 
     pulled, y = read(cotangents[0])
     # How y answers to a mark, through the weights this very picture got; signed, so that what neighbouring code

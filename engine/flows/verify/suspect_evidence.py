@@ -26,6 +26,7 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.blur import Blur, find_blur
+from engine.pictures.alignment.config import CONFIG as ALIGNMENT
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import (
     Alignment,
@@ -35,6 +36,7 @@ from engine.pictures.alignment.planar import (
     align_upright,
     near_motions,
 )
+from engine.pictures.alignment.viewer_tone import ViewerTone, find_viewer_tone
 from engine.pictures.camera.camera_motion import carried
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
@@ -42,7 +44,7 @@ from engine.pictures.camera.pose_refinement import refine_level
 from engine.pictures.jpeg.block_grid import JpegGrid, find_grid
 from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
-from engine.raster import RasterSettings, View, draw, prepare_view, render
+from engine.raster import RasterSettings, View, draw, prepare_view, render, sh_colors
 from engine.registration.registration_search import Registration
 from engine.registration.visibility import only_drawn
 from engine.watermark.derivation import NOT_FOUND, Derivation
@@ -91,23 +93,32 @@ class ReferenceViews:
         rough = self.signs[layout.chips :].astype(np.float32).reshape(-1, ATTRIBUTES)
         self._rough = roughen(model, grain, rough) if grain.there else model
 
-    def at(self, camera: Camera, settings: RasterSettings = RasterSettings()) -> ReferenceView:
-        """The reference from one camera."""
+    def at(
+        self, camera: Camera, settings: RasterSettings = RasterSettings(), tone: ViewerTone | None = None
+    ) -> ReferenceView:
+        """The reference from one camera; `tone` is the viewer's."""
         model, grain = self.opened.reference, self.opened.grain
-        drawn = draw(model, camera, settings=settings)
+        own = sh_colors(model.sh, model.means, camera.position)
+        toned, steep = (None, None) if tone is None else (tone(own), tone.slope(own))
+        drawn = draw(model, camera, settings=settings, colors=toned)
         view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
         # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
-        colors = np.maximum(drawn.colors + seen_shift(self._tint, model, camera), 0.0)
+        colors = np.maximum(own + seen_shift(self._tint, model, camera), 0.0)
+        colors = colors if tone is None else tone(colors)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
         geometry = None
         if grain.there:
             seen = drawn.view.geometry
             smooth = seen.settings.antialiased or len(seen.discs) > 0
-            geometry = GrainView(
-                draw(model, camera, settings=replace(PLAIN, by_distance=settings.by_distance)) if smooth else drawn,
-                grain,
-            )
-        return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
+            flat = replace(PLAIN, by_distance=settings.by_distance)
+            geometry = GrainView(draw(model, camera, settings=flat, colors=toned) if smooth else drawn, grain)
+        return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry, tone=tone, steep=steep)
+
+    def tone(self, camera: Camera, settings: RasterSettings, picture: Float32) -> ViewerTone | None:
+        """The tone curve that the viewer of a picture (H, W, 3) from this camera applied to every Gaussian, if any."""
+        model, small = self.opened.reference, camera.with_side(ALIGNMENT.viewer_tone.side)
+        drawn = draw(model, small, settings=settings)
+        return find_viewer_tone(drawn.view, drawn.colors, drawn.alpha, picture)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +132,8 @@ class ReferenceView:
     mark: Float32  # (H, W, 3) what a mark of public signs adds
     geometry: GrainView | None
     blur: Blur | None = None  # that `plain`, `alpha` and `mark` went through
+    tone: ViewerTone | None = None  # that the Gaussians' colors went through,
+    steep: Float32 | None = None  # and its slope (N, 3) at them
 
     def blurred(self, blur: Blur) -> ReferenceView:
         """This sharp view as a picture shows it that was blurred so."""
@@ -134,7 +147,8 @@ class ReferenceView:
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs, self.blur), through, self.geometry)
+        mark = PublicMark(self.mark, self.of.signs, self.blur, self.steep)
+        return gather_image_evidence(*seen, mark, through, self.geometry)
 
 
 def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
@@ -187,7 +201,8 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
     """A picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
-    view = reference.at(found.camera, found.settings)
+    tone = reference.tone(found.camera, found.settings, image)
+    view = reference.at(found.camera, found.settings, tone)
     blur = find_blur(luma(view.plain), view.alpha, luma(image))
     if blur is not None:
         view = view.blurred(blur)
@@ -243,7 +258,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
             there = carried(camera, matrix, width, height)
             if there is None:
                 break
-            view = reference.at(there, drawn)
+            view = reference.at(there, drawn, laid.view.tone)
             behind = find_background(image, view.alpha) if over else None
             through = np.float32(0.0) if behind is None else behind.through
             near = align_upright(view.plain, image - through)
