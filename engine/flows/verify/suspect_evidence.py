@@ -66,6 +66,7 @@ __all__ = [
     "derivation_of_pictures",
     "derivation_of_sight",
     "duplicate_weights",
+    "far_views",
     "read_found",
     "read_gaussians",
     "read_grain",
@@ -492,7 +493,7 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, _CONFIG.edge_views, *_CONFIG.edge_size)))
+    far = cache(lambda: far_views(opened.reference))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
@@ -521,6 +522,12 @@ def read_pictures(
     notes += [LEFT_OUT.format(number + 1) for number in odd]
     scattered = _nothing(opened) if together is None else together.by_scatter(opened.strength)
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
+
+
+def far_views(model: GaussianModel) -> FarViews:
+    """The model from afar, from all around: where pictures without keypoints are sought."""
+    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, elevations=_CONFIG.edge_elevations)
+    return FarViews(model, wide)
 
 
 def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
