@@ -38,6 +38,7 @@ class EvidenceConfig:
     edge_views: int = 96  # in which a picture without keypoints is sought,
     # from so low to so high around an object, degrees: the climb from the nearest one gets no farther than 25
     edge_elevations: tuple[float, float] = (-10.0, 75.0)
+    close_views: int = 64  # of which close-ups are made, from where people look at it
     edge_size: tuple[int, int] = (640, 480)  # of these, pixels
 
 

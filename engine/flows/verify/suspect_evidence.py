@@ -527,7 +527,7 @@ def read_pictures(
 def far_views(model: GaussianModel) -> FarViews:
     """The model from afar, from all around: where pictures without keypoints are sought."""
     wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, elevations=_CONFIG.edge_elevations)
-    return FarViews(model, wide)
+    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size))
 
 
 def _how_read(number: int, read: ReadPicture) -> Iterator[str]:

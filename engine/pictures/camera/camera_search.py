@@ -52,6 +52,7 @@ class CameraConfig:
     focals: tuple[float, ...] = CONFIG.focals  # at which poses from keypoints are sought, widths of the picture
     other_focals: tuple[float, ...] = CONFIG.other_focals  # tried where refinement from these fails, in those
     framed: bool = True  # the picture may show something else around the viewer
+    parts: bool = True  # it may show a part of the model, large
     uneven: bool = True  # it may have been scaled unevenly, or be the photograph of a screen
 
 
@@ -116,7 +117,7 @@ def find_camera(
     if bank is not None and (best is None or not best.sure):  # 8
         best = _best_candidate(picture, candidates.by_votes(bank()), best)
     if far is not None and (best is None or not best.sure):  # 9
-        best = _best_candidate(picture, candidates.by_edges(far()), best)
+        best = _best_candidate(picture, candidates.by_edges(far(), config.parts), best)
     return None if best is None else _refine_to_full_size(picture, best)  # 10
 
 
@@ -165,7 +166,7 @@ def _of_subject(
     """Step 3: what `search` finds in the middle of the picture, with the lenses of the whole."""
     part = np.ascontiguousarray(image[subject])
     focals = tuple(focal * image.shape[1] / part.shape[1] for focal in config.focals)
-    found = search(part, config=replace(config, focals=focals, framed=False, uneven=False))
+    found = search(part, config=replace(config, focals=focals, framed=False, parts=False, uneven=False))
     return None if found is None else replace(found, frame=subject)
 
 
