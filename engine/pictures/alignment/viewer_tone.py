@@ -46,7 +46,7 @@ class ViewerTone:
 
 def _aces(x: Float32) -> Float32:
     """Narkowicz (2015)."""
-    return (x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14)
+    return np.asarray((x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14), dtype=np.float32)
 
 
 _ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]], np.float32)
@@ -75,8 +75,8 @@ def _neutral(x: Float32) -> Float32:
 
 
 TONES = (ViewerTone("aces", _aces), ViewerTone("aces2", _aces2), ViewerTone("neutral", _neutral))
-"""Those of PlayCanvas whose curves differ from the blended picture's: its filmic ones hardly do (of six pictures none
-read better)."""
+"""Those of PlayCanvas that differ from a curve of the blended picture. Its filmic one hardly does: four pictures read
+0.87 to 1.05 times the z."""
 
 
 def find_viewer_tone(view: View, colors: Float32, alpha: Float32, picture: Float32) -> ViewerTone | None:
