@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from PIL import ExifTags, Image
 
@@ -19,10 +19,17 @@ MOST_PICTURES = 64
 
 
 def load_model(request: Request) -> Loaded:
-    """The model of a request, called "the model" in messages; it holds at least one Gaussian."""
-    loaded = read_scene(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
+    """The model of a request; it holds at least one Gaussian."""
+    loaded = read_scene(request["model"], name=name_of(request), spz_frame=request.get("spz_frame") or "auto")
     check_model(loaded)
     return loaded
+
+
+def name_of(request: Request) -> str:
+    """What a request's model is called by its sender, without folders and control characters: some formats are known
+    by their ending alone. "the model" where it has no name."""
+    name = PurePosixPath(str(request.get("name") or "").replace("\\", "/")).name
+    return "".join(letter for letter in name if letter.isprintable())[-200:] or "the model"
 
 
 def check_model(loaded: Loaded) -> None:
