@@ -30,7 +30,7 @@ from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.draw import stamps_extra
-from engine.flows.views.view_set import worst_psnr_against
+from engine.flows.views.view_set import SeenView, worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
@@ -80,6 +80,7 @@ class Embedding:
     record: Record  # what the owner keeps
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
     report: EmbedReport
+    worst_view: SeenView  # the original in the key view that shows most of the mark
     seen: SeenPoints | None  # what an index of many assets keeps of its looks
 
 
@@ -250,7 +251,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         seconds=clock.total,
         seconds_by_stage=clock.seconds,
     )
-    return Embedding(marked, record, settings, report, asset.seen)
+    worst = SeenView(ground.cameras[fidelity.view], asset.original.views.images[fidelity.view])
+    return Embedding(marked, record, settings, report, worst, asset.seen)
 
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
