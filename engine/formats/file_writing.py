@@ -49,8 +49,8 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
         far = float(np.abs(model.means[strays]).max())
         noun = "Gaussian" if len(strays) == 1 else "Gaussians"
         notes.append(
-            f"{len(strays)} {noun} (first in row {strays[0]}), up to {far:.3g} from the others, left out: .{format}"
-            " rounds all others away where it holds them; .ply, .splat and .glb hold both"
+            f"{len(strays)} {noun} (first in row {model.row_of(strays[0])}), up to {far:.3g} from the others, left out:"
+            f" .{format} rounds all others away where it holds them; .ply, .splat and .glb hold both"
         )
     return notes
 

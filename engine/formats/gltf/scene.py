@@ -20,7 +20,7 @@ from engine.formats.gltf.nodes import as_similarity, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
-from engine.model import ATTRIBUTES, Float32, GaussianModel
+from engine.model import Float32, GaussianModel, joined
 from engine.numerics.plain import Json
 from engine.numerics.similarity import transform_model
 
@@ -81,8 +81,7 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
             flip = np.diag([*TO_PLY.signs, 1.0])
             model = transform_model(model, *as_similarity(flip @ matrix @ flip, file=file))
         parts.append(model)
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
-    return (parts[0] if len(parts) == 1 else GaussianModel(**whole)), tuple(repairs)  # type: ignore[arg-type]
+    return joined(parts), tuple(repairs)
 
 
 def write_glb(model: GaussianModel) -> list[bytes]:
