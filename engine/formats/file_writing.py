@@ -14,7 +14,7 @@ from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.strays import unheld_rows
 from engine.model import GaussianModel
 
-_SAY_NOTHING = ("splat", "spz", "glb")
+_SAY_NOTHING = ("splat", "spz", "glb", "usda", "usdc", "usdz")
 """Formats that cannot declare discs; all but SPZ, which has a bit, cannot declare antialiasing either."""
 
 
