@@ -60,6 +60,8 @@ class GaussianModel:
     # Trained to be drawn with an opacity that falls as the low pass widens a Gaussian (`RasterSettings.antialiased`);
     # files say "mip" or "antialiased". Discs never are.
     antialiased: bool = False
+    # What was taken from the centers on reading, scene units: what float32 cannot hold, of scenes in map coordinates
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     file_rows: FileRows | None = None  # None: each Gaussian is the row of its own number
 
     def __post_init__(self) -> None:
@@ -171,6 +173,12 @@ class Camera:
         """The same view with another number of pixels (intrinsics scaled per axis)."""
         sx, sy = width / self.width, height / self.height
         return Camera(self.viewmat, np.diag([sx, sy, 1.0]) @ self.K, width, height)
+
+    def relative_to(self, origin: npt.ArrayLike) -> Camera:
+        """The same view of a scene whose origin moves to a point."""
+        viewmat = self.viewmat.copy()
+        viewmat[:3, 3] += viewmat[:3, :3] @ np.asarray(origin, dtype=np.float64)
+        return Camera(viewmat, self.K, self.width, self.height)
 
     def with_side(self, side: int) -> Camera:
         """The same view with `side` pixels along its longer side."""

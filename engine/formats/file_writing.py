@@ -44,6 +44,12 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
             " far too heavily unless set to it; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
+    if any(model.origin) and format != "ply":
+        x, y, z = model.origin
+        notes.append(
+            f".{format} rounds centers in map coordinates (float32 by up to {_coarse(model):.2g}): they were written"
+            f" relative to ({x:.0f}, {y:.0f}, {z:.0f}), which is not in the file; .ply keeps it"
+        )
     strays = np.flatnonzero(unheld_rows(model, format))
     if len(strays):
         far = float(np.abs(model.means[strays]).max())
@@ -53,6 +59,12 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             f" .{format} rounds all others away where it holds them; .ply, .splat and .glb hold both"
         )
     return notes
+
+
+def _coarse(model: GaussianModel) -> float:
+    """By how much float32 rounds the farthest absolute center, scene units."""
+    farthest = np.abs(model.means.astype(np.float64) + model.origin).max()
+    return float(np.spacing(np.float32(farthest)) / 2)
 
 
 def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:

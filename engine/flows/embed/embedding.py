@@ -10,7 +10,7 @@ Up to the landmarks all copies of a model have everything in common: see `asset`
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Unpack
 
 import numpy as np
@@ -30,6 +30,7 @@ from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.draw import stamps_extra
+from engine.flows.records.opened_record import ORIGIN
 from engine.flows.views.view_set import SeenView, worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
@@ -138,6 +139,8 @@ def embed_on_terms(
 ) -> Iterator[Embedding]:
     """`embed_copies` with its options as one value."""
     clock = Clock(progress)
+    if terms.cameras is not None and any(model.origin):
+        terms = replace(terms, cameras=[camera.relative_to(model.origin) for camera in terms.cameras])
     if len({bool(copy) for copy in copies}) > 1:
         raise InputError(f"some copies have a recipient's name and others have none: {SECOND_WATERMARK}")
     asset = _prepare(model, key, original_sha256, terms, bool(copies and copies[0]), clock)
@@ -218,12 +221,13 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
 
             marked, fidelity = refine_mark(asset, owner, mark, bits, clock.advance)
     with clock.stage("record"):  # 8
+        placed: Json = {ORIGIN: list(marked.origin)} if any(marked.origin) else {}
         record = Record.make(
             key,
             asset.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
-            extra={"settings": settings.to_json(), **stamps_extra(committed.stamps)},
+            extra={"settings": settings.to_json() | placed, **stamps_extra(committed.stamps)},
             copy=copy,
             registered_at=terms.registered_at,
         )

@@ -149,7 +149,10 @@ def _readings(
     suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock, budget: TimeBudget
 ) -> Iterator[Reading]:
     if suspect.model is None:
-        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, suspect.cameras, clock, budget)
+        known = suspect.cameras
+        if known is not None and (origin := opened.origin) is not None:
+            known = [camera.relative_to(origin) for camera in known]
+        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, known, clock, budget)
         seen = sum(camera is not None for camera in cameras)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading(

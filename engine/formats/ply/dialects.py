@@ -13,7 +13,7 @@ from engine.formats.ply.header import Element, Header, Property
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair
 from engine.model import SH_C0, Float32
 
-__all__ = ["DC", "activation_hints", "dc_of_colors", "plain_names", "plain_types", "rounded_centers"]
+__all__ = ["DC", "activation_hints", "dc_of_colors", "georeferenced", "plain_names", "plain_types"]
 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
@@ -121,23 +121,43 @@ def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:
     return ((colors / np.float32(full) - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
 
 
-def rounded_centers(records: npt.NDArray[np.void], log_scales: Float32) -> list[Repair]:
-    """What is said where centres are doubles that float32 rounds by more than `_VISIBLE_ROUNDING` of a size."""
+def georeferenced(
+    records: npt.NDArray[np.void], means: Float32, log_scales: Float32
+) -> tuple[tuple[float, float, float], list[Repair]]:
+    """The origin to which centers that are doubles are moved, in place, where float32 would round some by more than
+    `_VISIBLE_ROUNDING` of a size: their median, in whole units. What is rounded even so is told."""
+    origin = (0.0, 0.0, 0.0)
     if all(records.dtype[axis].itemsize < 8 for axis in "xyz"):
-        return []
-    error = np.zeros(len(records))
+        return origin, []
     with np.errstate(over="ignore", invalid="ignore"):
-        for axis in "xyz":
-            exact = records[axis].astype(np.float64)
-            error = np.maximum(error, np.abs(exact - exact.astype(np.float32)))
-        rows = np.flatnonzero(np.isfinite(error) & (error > _VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1))))
-    if not len(rows):
-        return []
-    text = (
-        f"{len(rows)} centers (first in row {rows[0]}) are doubles that float32 rounds by up to "
-        f"{error[rows].max():.2g}, more than 1/20 of their Gaussian's size: move the scene to the origin first"
-    )
-    return [Repair("centers_rounded", len(rows), text)]
+        exact = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)  # (N, 3)
+        allowed = _VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1, dtype=np.float64))
+        rows, _ = _rounded(exact, allowed)
+        if not len(rows):
+            return origin, []
+        x, y, z = (float(np.rint(np.nanmedian(column))) for column in exact.T)
+        moved = exact - np.array([x, y, z])
+        left, error = _rounded(moved, allowed)
+        repairs = []
+        if len(left) < len(rows):
+            origin, means[:] = (x, y, z), moved
+            text = f"{len(rows)} centers are doubles that float32 would round: read relative to"
+            text += f" ({x:.0f}, {y:.0f}, {z:.0f}), which .ply gets back"
+            repairs.append(Repair("origin_moved", len(rows), text))
+    if len(left):
+        text = (
+            f"{len(left)} centers (first in row {left[0]}) are doubles that float32 rounds by up to {error:.2g}, more"
+            " than 1/20 of their Gaussian's size"
+        )
+        repairs.append(Repair("centers_rounded", len(left), text))
+    return origin, repairs
+
+
+def _rounded(exact: npt.NDArray[np.float64], allowed: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.intp], float]:
+    """Rows that float32 rounds by more than is allowed, and by how much at most."""
+    error = np.abs(exact - exact.astype(np.float32)).max(axis=1)
+    rows = np.flatnonzero(np.isfinite(error) & (error > allowed))
+    return rows, float(error[rows].max(initial=0.0))
 
 
 def activation_hints(log_scales: Float32, logits: Float32) -> list[Repair]:
