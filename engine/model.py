@@ -132,7 +132,7 @@ class GaussianModel:
 
 
 def joined(parts: Sequence[GaussianModel]) -> GaussianModel:
-    """One model of several of one degree, one after another; antialiased where all of them are."""
+    """One model of several, one after another, of the highest degree among them; antialiased where all are."""
     if len(parts) == 1:
         return parts[0]
     rows = None
@@ -140,7 +140,14 @@ def joined(parts: Sequence[GaussianModel]) -> GaussianModel:
         each = [part.file_rows or FileRows(np.arange(len(part)), len(part)) for part in parts]
         starts = np.cumsum([0, *(one.count for one in each)])
         rows = FileRows(np.concatenate([one.rows + at for one, at in zip(each, starts, strict=False)]), int(starts[-1]))
-    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES if name != "sh"
+    }
+    whole["sh"] = np.zeros((len(whole["means"]), max(part.sh.shape[1] for part in parts), 3), dtype=np.float32)
+    start = 0
+    for part in parts:
+        whole["sh"][start : start + len(part), : part.sh.shape[1]] = part.sh
+        start += len(part)
     return GaussianModel(**whole, antialiased=all(part.antialiased for part in parts), file_rows=rows)
 
 

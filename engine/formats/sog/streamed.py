@@ -60,7 +60,7 @@ def _read(archive: Archive, file: str) -> tuple[GaussianModel, tuple[Repair, ...
     if index.left_out:
         text = f"{index.left_out} Gaussians of coarser levels were left out: they repeat the scene"
         repairs.append(Repair("levels_left_out", index.left_out, text))
-    return _joined(parts), tuple(repairs)
+    return joined(parts), tuple(repairs)
 
 
 def _wanted(index: LodMeta) -> dict[str, list[tuple[int, int]]]:
@@ -75,9 +75,3 @@ def _wanted(index: LodMeta) -> dict[str, list[tuple[int, int]]]:
 
 def _meta(archive: Archive, name: str, file: str) -> SogMeta:
     return parse_meta(archive.read(name, MAX_META_BYTES), file=f"{file}, {name}")
-
-
-def _joined(parts: list[GaussianModel]) -> GaussianModel:
-    width = max(part.sh.shape[1] for part in parts)
-    wide = [np.pad(part.sh, ((0, 0), (0, width - part.sh.shape[1]), (0, 0))) for part in parts]
-    return joined([part.with_(sh=sh) for part, sh in zip(parts, wide, strict=True)])

@@ -72,9 +72,7 @@ def read_usd(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
         part, mended = _read_prim({key: found[f"{number}/{key}"] for key in _PARTS}, len(data), file)
         parts.append(part)
         repairs += mended
-    width = max(part.sh.shape[1] for part in parts)
-    same = [part.with_(sh=np.pad(part.sh, ((0, 0), (0, width - part.sh.shape[1]), (0, 0)))) for part in parts]
-    return joined(same), tuple(repairs)
+    return joined(parts), tuple(repairs)
 
 
 def write_usd(model: GaussianModel, kind: str) -> bytes:
