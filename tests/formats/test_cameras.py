@@ -151,7 +151,10 @@ def test_faults_of_an_entry_are_named(tmp_path: Path, change: dict[str, Any], me
         ('{"frames": [{"w": 8, "h": 8}]}', "frame 0: has no 'camera_angle_x'"),
         ('{"frames": [{"w": 8, "h": 8, "camera_angle_x": 60}]}', "camera_angle_x 60 is no angle of view in radians"),
         ('{"frames": [{"w": 8, "h": 8, "fl_x": 9}]}', "frame 0: has no 'transform_matrix'"),
-        ('{"frames": [{"camera_model": "EQUIRECTANGULAR"}]}', "camera_model 'EQUIRECTANGULAR' is no pinhole"),
+        (
+            '{"frames": [{"camera_model": "EQUIRECTANGULAR"}]}',
+            "camera_model 'EQUIRECTANGULAR' is no pinhole and no OPENCV_FISHEYE",
+        ),
         ('{"frames": [{}], "applied_transform": [[0,0,0,0],[0,0,0,0],[0,0,0,0]]}', "cannot be undone"),
     ],
 )

@@ -24,7 +24,7 @@ from engine.extras import load_extra
 from engine.formats.gltf.nodes import as_similarity
 from engine.formats.guards import check_count
 from engine.formats.repairs import Repair, clean, degree_dropped
-from engine.formats.usd.process import DEGREE, FIELDS, SH
+from engine.formats.usd.process import DEGREE, FIELDS, SECONDS, SH
 from engine.model import GaussianModel, joined
 from engine.numerics.similarity import transform_model
 
@@ -107,9 +107,13 @@ def _opened(data: bytes, file: str) -> Mapping[str, npt.NDArray[Any]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"scene.{kind_of_usd(data)}"
         path.write_bytes(data)
-        done = subprocess.run(
-            [*_COMMAND, str(path)], capture_output=True, check=False, env={**os.environ, "PXR_WORK_THREAD_LIMIT": "1"}
-        )
+        env = {**os.environ, "PXR_WORK_THREAD_LIMIT": "1"}
+        try:
+            done = subprocess.run(
+                [*_COMMAND, str(path)], capture_output=True, check=False, env=env, timeout=2 * SECONDS
+            )
+        except subprocess.TimeoutExpired:
+            raise FormatError(f"cannot be read as OpenUSD within {2 * SECONDS} s", file=file) from None
     if done.returncode:
         message = f"cannot be read as OpenUSD: the library ended with {done.returncode}, for its memory or by a fault"
         raise FormatError(message, file=file)
