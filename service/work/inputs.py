@@ -11,7 +11,7 @@ from engine.errors import CameraError, FormatError, InputError
 from engine.formats import read_cameras
 from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, is_picture, read_picture
 from engine.model import Camera, Float32
-from engine.scenes.scene_files import Loaded, read_scene
+from engine.scenes.scene_files import Loaded, read_suspect
 from service.problems import Problem
 from service.work.process import Request
 
@@ -19,8 +19,8 @@ MOST_PICTURES = 64
 
 
 def load_model(request: Request) -> Loaded:
-    """The model of a request; it holds at least one Gaussian."""
-    loaded = read_scene(request["model"], name=name_of(request), spz_frame=request.get("spz_frame") or "auto")
+    """The model of a request, which may be colored points; it holds at least one Gaussian."""
+    loaded = read_suspect(request["model"], name=name_of(request), spz_frame=request.get("spz_frame") or "auto")
     check_model(loaded)
     return loaded
 

@@ -13,10 +13,10 @@ from engine.formats.ply.header import Element, Header, Property
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair
 from engine.model import SH_C0, Float32
 
-__all__ = ["DC", "activation_hints", "dc_of_colors", "georeferenced", "plain_names", "plain_types"]
+__all__ = ["COLORS", "DC", "activation_hints", "dc_of_colors", "georeferenced", "plain_names", "plain_types"]
 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
-_COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
 _CODE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"}
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
@@ -49,7 +49,7 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
             count = sum(a != b for a, b in zip(names, new, strict=True))
             repairs.append(Repair("names_prefixed", count, f"the prefix {prefix[:40]!r} of {count} names was dropped"))
             names = new
-    colors = next((c for c in _COLORS if set(c) <= set(names)), None)
+    colors = next((c for c in COLORS if set(c) <= set(names)), None)
     if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:
         table = dict(zip(colors, DC, strict=True))
         names = [table.get(name, name) for name in names]
