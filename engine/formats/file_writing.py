@@ -10,6 +10,7 @@ import numpy as np
 
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats.kinds import FORMATS, KINDS, kind_of
+from engine.formats.losses import losses
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.strays import unheld_rows
 from engine.model import GaussianModel
@@ -50,7 +51,9 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             f".{format} rounds centers in map coordinates (float32 by up to {_coarse(model):.2g}): they were written"
             f" relative to ({x:.0f}, {y:.0f}, {z:.0f}), which is not in the file; .ply keeps it"
         )
-    strays = np.flatnonzero(unheld_rows(model, format))
+    unheld = unheld_rows(model, format)
+    notes += losses(model.take(~unheld) if unheld.any() else model, format)
+    strays = np.flatnonzero(unheld)
     if len(strays):
         far = float(np.abs(model.means[strays]).max())
         noun = "Gaussian" if len(strays) == 1 else "Gaussians"

@@ -22,6 +22,9 @@ LOG_SCALE_RANGE = (-30.0, 20.0)
 MAGNITUDE_LIMIT = 1e12
 """A centre or a coefficient beyond it is no datum: its square times a focal length leaves float32."""
 
+VISIBLE_ROUNDING = 1 / 20
+"""Of a Gaussian's size: what a center may be rounded by before it is worth a word."""
+
 UNIT_TOLERANCE = 1e-6
 """A quaternion this near to unit length keeps its bits: normalising it again would only add rounding."""
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from engine.errors import FormatError
 from engine.formats.ply.extras import named
 from engine.formats.ply.header import Element, Header, Property
-from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair
+from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
 __all__ = ["COLORS", "DC", "activation_hints", "dc_of_colors", "georeferenced", "plain_names", "plain_types"]
@@ -27,9 +27,6 @@ _SOUND_SHARE = 0.99
 """Of values that are no NaN: of random bits, one half float in 32 is infinite or none."""
 
 _LARGEST_HALF = 65504.0
-
-_VISIBLE_ROUNDING = 1 / 20
-"""Of a Gaussian's size: what a centre may be rounded by before it is worth a word."""
 
 _FEW = 64  # too few to say from their values what they are
 
@@ -125,13 +122,13 @@ def georeferenced(
     records: npt.NDArray[np.void], means: Float32, log_scales: Float32
 ) -> tuple[tuple[float, float, float], list[Repair]]:
     """The origin to which centers that are doubles are moved, in place, where float32 would round some by more than
-    `_VISIBLE_ROUNDING` of a size: their median, in whole units. What is rounded even so is told."""
+    `VISIBLE_ROUNDING` of a size: their median, in whole units. What is rounded even so is told."""
     origin = (0.0, 0.0, 0.0)
     if all(records.dtype[axis].itemsize < 8 for axis in "xyz"):
         return origin, []
     with np.errstate(over="ignore", invalid="ignore"):
         exact = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)  # (N, 3)
-        allowed = _VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1, dtype=np.float64))
+        allowed = VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1, dtype=np.float64))
         rows, _ = _rounded(exact, allowed)
         if not len(rows):
             return origin, []
