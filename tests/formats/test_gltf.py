@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from engine.errors import FormatError, UnsupportedFormatError
@@ -198,6 +200,23 @@ def test_a_tile_whose_bytes_are_elsewhere_is_refused() -> None:
             read_model(whole.replace(before, after, 1))
     with pytest.raises(FormatError, match="ends at byte"):
         read_model(whole.replace(b'"byteLength": ', b'"byteLength":9', 2))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_a_damaged_tile_is_an_error_of_ours_or_a_model(data: st.DataObject) -> None:
+    whole = bytearray(spz_tile(random_model(1, 20), {}))
+    at = data.draw(st.integers(0, len(whole) - 1))
+    if data.draw(st.booleans()):
+        del whole[at:]
+    else:
+        new = data.draw(st.binary(min_size=1, max_size=8))
+        whole[at : at + len(new)] = new
+    try:
+        found = len(read_model(bytes(whole), name="tile.glb").model)
+    except FormatError as error:
+        found = len(error.message)
+    assert found > 0
 
 
 def said(**changes: Any) -> bytes:

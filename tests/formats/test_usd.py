@@ -132,6 +132,26 @@ def test_an_archive_of_several_layers(tmp_path: Path) -> None:
     assert len(read_model(tmp_path / "all.usdz").model) == 2
 
 
+@needs_usd
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("kind", KINDS)
+def test_damage_is_an_error_of_ours_or_a_model(kind: str, seed: int) -> None:
+    """Flipped, overwritten with extreme counts, and cut off: what native code does then must not end this process."""
+    data, rng = bytearray(encode_model(random_model(1, 40), kind)), np.random.default_rng(seed)
+    at = int(rng.integers(0, len(data) - 8))
+    if seed % 3 == 0:
+        del data[at:]
+    elif seed % 3 == 1:
+        data[at : at + 8] = b"\xff\xff\xff\x7f\xff\xff\xff\x7f"
+    else:
+        data[at] ^= 1 << int(rng.integers(8))
+    try:
+        found = len(read_model(bytes(data), name=f"scene.{kind}").model)
+    except FormatError as error:
+        found = len(error.message)
+    assert found > 0
+
+
 def test_without_the_extra_it_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def refuse(module: str) -> Any:
         raise ModuleNotFoundError(name=module)
