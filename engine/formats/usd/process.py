@@ -38,8 +38,8 @@ def main() -> None:
     try:
         found: dict[str, npt.NDArray[Any]] = dict(_arrays(path))
     except FormatError as error:
-        said = {"message": error.message, "element": error.element, "prop": error.prop}
-        said["unsupported"] = isinstance(error, UnsupportedFormatError)
+        unsupported = isinstance(error, UnsupportedFormatError)
+        said = {"message": error.message, "element": error.element, "prop": error.prop, "unsupported": unsupported}
         found = {"fault": np.array(json.dumps(said))}
     np.savez(sys.stdout.buffer, allow_pickle=False, **found)
 
