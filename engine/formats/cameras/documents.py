@@ -18,6 +18,8 @@ MAX_IMAGE_SIDE = 1 << 16
 _ROTATION_TOLERANCE = 1e-2  # files with few decimals are accepted and made orthonormal
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+DATAPARSER = "dataparser_transforms.json"
+"""How nerfstudio moved a scene before it trained: the frame of what ns-export writes."""
 _FISHEYE = "OPENCV_FISHEYE"
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 
@@ -44,8 +46,9 @@ def read_inria(entries: list[Any], file: str) -> list[Camera]:
     return cameras
 
 
-def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
-    """Cameras of a parsed transforms.json; images in `folder` are looked at only where no size is given."""
+def read_nerf(content: Json, file: str, folder: Path, moved: Json | None = None) -> list[Camera]:
+    """Cameras of a parsed transforms.json; images in `folder` are looked at only where no size is given. `moved`, a
+    parsed dataparser_transforms.json, brings them from the reconstruction's frame to that of the trained model."""
     frames = content["frames"]
     if not frames:
         raise CameraError(f"{file}: holds no frames")
@@ -55,6 +58,13 @@ def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
         if abs(np.linalg.det(undo[:3, :3])) < 1e-9:
             raise CameraError(f"{file}: applied_transform cannot be undone")
         undo = np.asarray(np.linalg.inv(undo), dtype=np.float64)
+    to_model: Float64 = np.eye(4)
+    if moved is not None:
+        to_model[:3] = _matrix(moved, "transform", (3, 4), DATAPARSER)
+        to_model[:3] *= _number(moved, "scale", DATAPARSER)
+        if abs(np.linalg.det(to_model[:3, :3])) < 1e-30:
+            raise CameraError(f"{DATAPARSER}: transform and scale are no similarity")
+    undo = to_model @ undo
     cameras, distorted = [], 0
     for k, frame in enumerate(frames):
         where = f"{file}: frame {k}"
