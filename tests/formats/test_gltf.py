@@ -193,6 +193,18 @@ def test_a_tile_shows_what_the_uncompressed_file_shows(tile: str) -> None:
     assert psnr(render(found.model, view), render(plain, view)) > 45
 
 
+def test_a_tile_on_the_globe_keeps_its_precision() -> None:
+    """Earth-centered coordinates: float32 would round to half a unit."""
+    place = [1_331_234.25, -4_655_123.5, 4_136_789.75]
+    parsed, binary = asset_of(splats(30, 1), splats(20, 1, 1))
+    near = read_model(glb_of(parsed, binary)).model
+    parsed["nodes"] = [{"mesh": k, "translation": place} for k in range(2)]
+    far = read_model(glb_of(parsed, binary))
+    assert [each.code for each in far.repairs] == ["origin_moved"]
+    absolute = far.model.means.astype(np.float64) + far.model.origin
+    np.testing.assert_allclose(absolute, near.means + np.array(place) * [-1, -1, 1], rtol=0, atol=1e-5)
+
+
 def test_a_tile_whose_bytes_are_elsewhere_is_refused() -> None:
     whole = spz_tile(random_model(1, 30), {})
     for before, after in ((b'"bufferView": 0}', b'"bufferVieu": 0}'), (b'"bufferView": 0}', b'"bufferView": 7}')):

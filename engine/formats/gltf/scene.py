@@ -19,10 +19,10 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, shown_meshes
 from engine.formats.guards import check_count
-from engine.formats.repairs import Repair, clean, degree_dropped
+from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
 from engine.formats.spz.stream import read_spz
-from engine.model import Float32, GaussianModel, joined
+from engine.model import Float32, Float64, GaussianModel, joined
 from engine.numerics.plain import Json
 from engine.numerics.similarity import transform_model
 
@@ -77,6 +77,7 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
         check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), len(data), file=file)
     parts: list[GaussianModel] = []
     repairs: list[Repair] = []
+    origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
     for primitive, matrix in shown:
         model, mended = (
             _read_primitive(asset, primitive) if _spz_view(primitive) is None else _read_spz(asset, primitive)
@@ -84,9 +85,25 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
         repairs += mended
         if (matrix != np.eye(4)).any():
             flip = np.diag([*TO_PLY.signs, 1.0])
-            model = transform_model(model, *as_similarity(flip @ matrix @ flip, file=file))
+            scale, rotation, shift = as_similarity(flip @ matrix @ flip, file=file)
+            if not parts and _is_far(shift, scale * model.scales):
+                origin = np.rint(shift)
+            model = transform_model(model, scale, rotation, shift - origin)
+        elif origin.any():
+            model = transform_model(model, 1.0, np.eye(3), -origin)
         parts.append(model)
+    if origin.any():
+        x, y, z = origin.tolist()
+        text = f"centers far out, which float32 would round: read relative to ({x:.0f}, {y:.0f}, {z:.0f})"
+        repairs.append(Repair("origin_moved", sum(map(len, parts)), text))
+        return joined(parts).with_(origin=(x, y, z)), tuple(repairs)
     return joined(parts), tuple(repairs)
+
+
+def _is_far(shift: Float64, scales: Float32) -> bool:
+    """Whether float32 rounds centers there by more than `VISIBLE_ROUNDING` of a usual size."""
+    step = float(np.spacing(np.float32(np.abs(shift).max()))) / 2
+    return step > VISIBLE_ROUNDING * float(np.median(scales))
 
 
 def write_glb(model: GaussianModel) -> list[bytes]:
