@@ -62,7 +62,7 @@ def read_usd(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
     the extra `usd` is not installed; FormatError if it cannot be read, or an attribute has another length.
     """
     try:
-        load_usd("is an OpenUSD scene: to read it")
+        load_usd("is an OpenUSD scene, and reading it")
     except InputError as error:
         raise UnsupportedFormatError(str(error), file=file) from None
     found = _opened(data, file)
