@@ -109,6 +109,14 @@ def test_map_coordinates_keep_their_precision(tmp_path: Path) -> None:
     assert not loss_note(model, "ply")
 
 
+def test_map_coordinates_in_single_precision_are_told() -> None:
+    columns = floats()
+    small = {f"scale_{axis}": ("float", np.full(300, np.log(0.01))) for axis in range(3)}
+    assert codes(read_model(file_of(columns | small))) == set()
+    far = columns["y"][1].astype(np.float64) + 5_412_345.678
+    assert codes(read_model(file_of(columns | small | {"y": ("float", far)}))) == {"centers_coarse"}
+
+
 def test_doubles_that_no_origin_helps_are_told() -> None:
     columns = floats()
     small = {f"scale_{axis}": ("float", np.full(300, np.log(1e-9))) for axis in range(3)}

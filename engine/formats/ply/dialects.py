@@ -125,7 +125,7 @@ def georeferenced(
     `VISIBLE_ROUNDING` of a size: their median, in whole units. What is rounded even so is told."""
     origin = (0.0, 0.0, 0.0)
     if all(records.dtype[axis].itemsize < 8 for axis in "xyz"):
-        return origin, []
+        return origin, _coarse(means, log_scales)
     with np.errstate(over="ignore", invalid="ignore"):
         exact = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)  # (N, 3)
         allowed = VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1, dtype=np.float64))
@@ -148,6 +148,20 @@ def georeferenced(
         )
         repairs.append(Repair("centers_rounded", len(left), text))
     return origin, repairs
+
+
+def _coarse(means: Float32, log_scales: Float32) -> list[Repair]:
+    """What is said where most centers lie so far out that float32 had no digits left for them."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.spacing(np.abs(means).max(axis=1)) / 2
+        rows = np.flatnonzero(steps > VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1)))
+    if 2 * len(rows) <= len(means):
+        return []
+    text = (
+        f"{len(rows)} centers (first in row {rows[0]}) lie so far out that the file's float32 rounded them by up to"
+        f" {steps[rows].max():.2g}, more than 1/20 of their Gaussian's size: export doubles, or around a local origin"
+    )
+    return [Repair("centers_coarse", len(rows), text)]
 
 
 def _rounded(exact: npt.NDArray[np.float64], allowed: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.intp], float]:
