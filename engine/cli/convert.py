@@ -79,6 +79,7 @@ def convert(
             with whole_file(out) as part:
                 bytes_out = write_scene(scene, part, kind)
             counts = [len(scene)]
+    notes = notes_of(scene, kind)
     report = {
         "out": str(out),
         "format_in": loaded.format,
@@ -88,7 +89,7 @@ def convert(
         "gaussians": counts[0],
         "levels": counts,
         "repairs": [asdict(repair) for repair in loaded.repairs],
-        "notes": notes_of(scene, kind),
+        "notes": notes,
         "seconds": time.perf_counter() - began,
     }
     say_repairs(console, loaded.repairs)
@@ -96,7 +97,7 @@ def convert(
         f"{model} ({loaded.format}) -> {out} ({kind}): {' + '.join(f'{count:,}' for count in counts)} Gaussians,"
         f" {loaded.source_bytes:,} -> {bytes_out:,} bytes"
     )
-    for note in notes_of(scene, kind):
+    for note in notes:
         console.say(f"  note: {note}")
     console.emit(report)
     return 0

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from engine.usecases.mark import MarkOutput, MarkReport
 
 COPY = "{copy}"
+TOLD_DB = 0.05
+"""Of what the format rounds away: less does not show in the numbers."""
 """In the name of a file: the recipient's name."""
 
 
@@ -239,9 +241,12 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report.seconds_by_stage.items())
     made = report.mark.embedding
     capacity = f"capacity: {made.picture_bits:,} per image, {made.capacity_bits:,} per model"
+    before, written = made.psnr_total_worst_view, report.mark.psnr_as_written
+    told = f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (watermark alone, worst key view)"
+    rounded = f"; as .{report.mark.format_out} {written:.2f} dB" if abs(written - before) >= TOLD_DB else ""
     lines = {
         "payload": f"{made.message}, {made.bits} bits ({capacity})",
-        "fidelity": f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (watermark alone, worst key view)",
+        "fidelity": told + rounded,
         "in total": f"{made.psnr_total_worst_view:.2f} dB, with pruning and quantization",
         "Gaussians": f"{made.gaussians_in:,} -> {made.gaussians_out:,}",
         "strength": (

@@ -10,7 +10,7 @@ Up to the landmarks all copies of a model have everything in common: see `asset`
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Unpack
 
 import numpy as np
@@ -30,7 +30,8 @@ from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.draw import stamps_extra
-from engine.flows.views.view_set import worst_psnr_against
+from engine.flows.records.opened_record import ORIGIN
+from engine.flows.views.view_set import SeenView, worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
@@ -81,6 +82,7 @@ class Embedding:
     record: Record  # what the owner keeps
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
     report: EmbedReport
+    worst_view: SeenView  # the original in the key view that shows most of the mark
     seen: SeenPoints | None  # what an index of many assets keeps of its looks
 
 
@@ -138,6 +140,8 @@ def embed_on_terms(
 ) -> Iterator[Embedding]:
     """`embed_copies` with its options as one value."""
     clock = Clock(progress)
+    if terms.cameras is not None and any(model.origin):
+        terms = replace(terms, cameras=[camera.relative_to(model.origin) for camera in terms.cameras])
     if len({bool(copy) for copy in copies}) > 1:
         raise InputError(f"some copies have a recipient's name and others have none: {SECOND_WATERMARK}")
     asset = _prepare(model, key, original_sha256, terms, bool(copies and copies[0]), clock)
@@ -218,12 +222,13 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
 
             marked, fidelity = refine_mark(asset, owner, mark, bits, clock.advance)
     with clock.stage("record"):  # 8
+        placed: Json = {ORIGIN: list(marked.origin)} if any(marked.origin) else {}
         record = Record.make(
             key,
             asset.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
-            extra={"settings": settings.to_json(), **stamps_extra(committed.stamps)},
+            extra={"settings": settings.to_json() | placed, **stamps_extra(committed.stamps)},
             copy=copy,
             registered_at=terms.registered_at,
         )
@@ -252,7 +257,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         seconds=clock.total,
         seconds_by_stage=clock.seconds,
     )
-    return Embedding(marked, record, settings, report, asset.seen)
+    worst = SeenView(ground.cameras[fidelity.view], asset.original.views.images[fidelity.view])
+    return Embedding(marked, record, settings, report, worst, asset.seen)
 
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
