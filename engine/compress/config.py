@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "CompressConfig"]
+__all__ = ["CONFIG", "RECOVERY", "CompressConfig", "RecoveryConfig"]
 
 
 @dataclass(frozen=True)
@@ -18,4 +18,42 @@ class CompressConfig:
     thin: float = 1e-8  # share of its trace added to a covariance, so that discs have a determinant
 
 
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """What pruning leaves, fitted to the original's renders (`recovery`).
+
+    Work is counted, not timed, so that the bytes do not depend on the machine: nanoseconds of one core, as measured.
+    """
+
+    per_gaussian: float = 220.0  # of a picture and its gradients; so is the next
+    per_pixel: float = 50.0
+    work: float = 25e9  # of all steps, at most: 13 s on two cores
+    views: int = 48  # fitted to, and the fewest where the original is slow to draw
+    least_views: int = 12
+    held_out: int = 6  # views that are neither fitted to nor the key's, and held to the budget, too
+    looking: float = 0.25  # share of the work that may go into drawing them
+    side: int = 800  # pixels at most: at 400 the same work gains less in views of 800
+    seed: int = 0xF17  # of the views, and of their order
+    hard_share: float = 0.5  # of the steps that go to views by their squared error: the worst view decides
+    slowest: float = 0.12  # of the rates, which are divided by 3 where a round gains too little: twice at most
+    # Adam steps: centres, in the Gaussian's own widths; unit quaternions; log scales; logits
+    mean_rate: float = 0.03
+    quat_rate: float = 5e-3
+    scale_rate: float = 1e-2
+    opacity_rate: float = 4e-2
+    knee: float = 0.02  # below which an error counts by its square, of a range of 1
+    stretch: float = 1.0  # most that a log scale changes: no needles
+    opacity_logit: float = 7.0  # beyond which none goes that did not start there
+    round: int = 40  # steps between two looks at the key views
+    # Pruning by turns: how far below the budget it starts (the next where that is not made good), share of the
+    # Gaussians that goes for each dB to spare, the most of a turn, and the gain of a round below which there is no more
+    heads_db: tuple[float, ...] = (7.0, 2.0)
+    spare_db: float = 0.5  # above the budget that is fitted to before more goes
+    share_per_db: float = 0.1
+    most_share: float = 0.3
+    least_gain_db: float = 0.1
+    weighed: int = 4  # every so manieth view says what may go next
+
+
 CONFIG = CompressConfig()
+RECOVERY = RecoveryConfig()

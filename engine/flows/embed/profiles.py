@@ -80,12 +80,18 @@ class EmbedConfig:
     @property
     def keeps_rows(self) -> bool:
         """Whether the delivered model is the owner's own, Gaussian by Gaussian."""
-        thinned = self.prune.budget_db is not None or self.paper.tau_base > 0 or self.paper.densify > 0
-        return self.output == "fidelity" and not thinned
+        return self.output == "fidelity" and not self.thins
+
+    @property
+    def thins(self) -> bool:
+        """Whether Gaussians are taken away, or split."""
+        return self.prune.budget_db is not None or self.paper.tau_base > 0 or self.paper.densify > 0
 
     def to_json(self) -> Json:
-        """As a record holds it: what the paper does is named where it is done."""
+        """As a record holds it: what the paper does is named where it is done, and recovery where something goes."""
         plain = asdict(self)
+        if not self.thins:
+            del plain["prune"]["recover"]
         if self.paper == PaperConfig():
             del plain["paper"]
         return plain

@@ -128,17 +128,14 @@ def _moving(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder:
 
 
 def _codebook(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
-    from engine.compress.impact import measure_impact
     from engine.flows.embed.delivery import slim_down
-    from engine.flows.views.camera_rig import measure_extent
-    from engine.flows.views.view_set import look
+    from engine.flows.embed.planning_basis import lay_groundwork
+    from engine.flows.progress import Clock
     from engine.lab.sim.variants.codebooks import make_codebook
     from engine.lab.sim.variants.variant_table import measure_codebook
 
-    views = look(original, make_rig(original, 8, 512, 512), lambda fraction: None)
-    impact = measure_impact(original, views.views, views.images)
-    pruned = named_profile("balanced", prune=PruneConfig(budget_db=CODEBOOK_BUDGET_DB))
-    slim, _ = slim_down(original, views, impact, measure_extent(original), pruned)
+    pruned = named_profile("balanced", views=8, view_size=512, prune=PruneConfig(budget_db=CODEBOOK_BUDGET_DB))
+    slim, _ = slim_down(lay_groundwork(original, key, "00" * 32, pruned), pruned, Clock())
     return measure_codebook(original, make_codebook(slim), key, config, folder, seed=seed)
 
 

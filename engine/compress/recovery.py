@@ -1,0 +1,206 @@
+"""Recovery: what pruning leaves is fitted to the original's own renders, before anything is quantised or marked.
+
+Centres, rotations, log scales and opacities move by Adam; colours stay: fitting them, too, gained nothing, nor did the
+wavelet term of Eq 9. With a budget, pruning and recovery take turns (DESIGN 4.2).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.compress.config import RECOVERY
+from engine.compress.impact import ranks
+from engine.compress.pruning import PruneConfig, Pruned, prune
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.numerics.adam import AdamMoments, adam_step
+from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors
+
+__all__ = ["Recovery", "Target", "fit", "prune_and_fit", "recoverable"]
+
+Measure = Callable[[GaussianModel], float]
+"""Worst key view's PSNR of a candidate against the original, dB."""
+
+Tell = Callable[[float, float], None]
+"""Called with the share of the work done, 0 to 1, and the PSNR by now, dB."""
+
+_RATES = {
+    "means": RECOVERY.mean_rate,
+    "quats": RECOVERY.quat_rate,
+    "log_scales": RECOVERY.scale_rate,
+    "opacity_logits": RECOVERY.opacity_rate,
+}
+
+
+def recoverable(model: GaussianModel) -> bool:
+    """Whether the rasterizer has gradients of its geometry: not of discs, nor of antialiased Gaussians."""
+    return len(model) > 0 and not model.is_flat and not model.antialiased
+
+
+def cost(gaussians: int, pixels: int) -> float:
+    """Work of one step, in nanoseconds of one core."""
+    return RECOVERY.per_gaussian * gaussians + RECOVERY.per_pixel * pixels
+
+
+def sum_squares(model: GaussianModel, cameras: Sequence[Camera], weights: Float64 | None = None) -> Float64:
+    """(N,) sum of w^2 over pixels and (weighted) views: what leaving each Gaussian out costs, to second order."""
+    total = np.zeros(len(model))
+    for camera, weight in zip(cameras, np.ones(len(cameras)) if weights is None else weights, strict=True):
+        total += weight * prepare_view(model, camera).weights()[1]
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What is fitted to: renders of the original from views that are no key views."""
+
+    cameras: Sequence[Camera]
+    images: Sequence[Float32]  # (H, W, 3) each, 0 to 1; kept as float16
+
+    @property
+    def seldom(self) -> Sequence[Camera]:
+        """A part of the views, from which Gaussians are weighed."""
+        return self.cameras[:: RECOVERY.weighed]
+
+    @classmethod
+    def of(cls, model: GaussianModel, cameras: Sequence[Camera]) -> "Target":
+        """A model, seen by some cameras."""
+        return cls(cameras, [np.clip(render(model, camera), 0.0, 1.0).astype(np.float16) for camera in cameras])
+
+
+def views_for(model: GaussianModel, side: int) -> int:
+    """To how many views of so many pixels a side a model is fitted: fewer where it is slow to draw."""
+    affordable = RECOVERY.looking * RECOVERY.work / cost(len(model), side**2)
+    return int(np.clip(affordable, RECOVERY.least_views, RECOVERY.views))
+
+
+class Recovery:
+    """A fit in progress; the same bits whatever the number of threads."""
+
+    def __init__(self, model: GaussianModel, target: Target, work: float | None = None) -> None:
+        self._base = model  # colours, centres to start from, and where the bounds lie
+        self._target = target
+        self._width = np.exp(np.median(model.log_scales, axis=1, keepdims=True))  # (N, 1) a Gaussian's own middle one
+        # What Adam moves: centres by their offset in those widths
+        self._moving = {name: getattr(model, name).copy() for name in _RATES} | {"means": np.zeros_like(model.means)}
+        self._moments = {name: AdamMoments.zeros(array) for name, array in self._moving.items()}
+        self._gradients = Gradients.empty(model, with_sh=False)
+        self._rng = np.random.default_rng(RECOVERY.seed)
+        self._queue = list(self._rng.permutation(len(target.cameras)))
+        self._errors = np.ones(len(target.cameras))  # squared, of each view when it was last seen
+        self._steps = 0
+        self.pace = 1.0  # factor on all rates
+        self.left = RECOVERY.work if work is None else work  # that may still be done
+
+    @property
+    def model(self) -> GaussianModel:
+        """As fitted by now, within its bounds."""
+        base, moving = self._base, self._moving
+        reach = np.maximum(np.abs(base.opacity_logits), np.float32(RECOVERY.opacity_logit))
+        np.clip(moving["opacity_logits"], -reach, reach, out=moving["opacity_logits"])
+        stretch = np.float32(RECOVERY.stretch)
+        np.clip(moving["log_scales"], base.log_scales - stretch, base.log_scales + stretch, out=moving["log_scales"])
+        moving["quats"] /= np.maximum(np.linalg.norm(moving["quats"], axis=1, keepdims=True), np.float32(1e-12))
+        means = base.means + self._width * moving["means"]
+        return base.with_(**{name: array.copy() for name, array in moving.items()} | {"means": means})
+
+    def run(self, steps: int) -> GaussianModel:
+        """So many steps, or as many as there is work for; gives the model after them."""
+        for _ in range(steps):
+            if self.left <= 0.0:
+                break
+            self._step()
+        return self.model
+
+    def _step(self) -> None:
+        views = len(self._target.cameras)
+        if not self._queue:
+            share = RECOVERY.hard_share
+            odds = (1.0 - share) / views + share * self._errors / self._errors.sum()
+            self._queue = list(self._rng.choice(views, views, p=odds / odds.sum()))
+        k = int(self._queue.pop())
+        camera, moving = self._target.cameras[k], self._moving
+        model = self._base.with_(**moving | {"means": self._base.means + self._width * moving["means"]})
+        self.left -= cost(len(model), camera.width * camera.height)
+        self._steps += 1
+        rendering = draw(model, camera, colors=sh_colors(model.sh, model.means, camera.position.astype(np.float32)))
+        gap = np.clip(rendering.image, 0.0, 1.0) - self._target.images[k]
+        self._errors[k] = float(np.mean(np.square(gap), dtype=np.float64)) + 1e-12
+        gradients = backward(rendering, _loss_gradient(gap), out=self._gradients)
+        np.multiply(gradients.means, self._width, out=gradients.means)
+        for name, rate in _RATES.items():
+            gradient = getattr(gradients, name)
+            if not np.isfinite(gradient.sum()):  # one absurd Gaussian must not spoil the others
+                np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+            adam_step(moving[name], gradient, self._moments[name], self.pace * rate, self._steps)
+
+    def keep_best(self, share: float) -> Bool:
+        """Go on with this share of the Gaussians, those that a part of the views, weighed by their errors, would miss
+        most; gives (N,) which."""
+        worth = sum_squares(self.model, self._target.seldom, self._errors[:: RECOVERY.weighed])
+        keep = ranks(worth) > 1.0 - share
+        self._base, self._width = self._base.take(keep), self._width[keep]
+        self._moving = {name: array[keep] for name, array in self._moving.items()}
+        self._moments = {name: AdamMoments(m.first[keep], m.second[keep]) for name, m in self._moments.items()}
+        self._gradients = Gradients.empty(self._base, with_sh=False)
+        return keep
+
+
+def _loss_gradient(gap: Float32) -> Float32:
+    """(H, W, 3) derivative of the mean absolute error, rounded off near zero (Huber), from image less target."""
+    return np.clip(gap / np.float32(RECOVERY.knee), -1.0, 1.0) / np.float32(gap.size)
+
+
+def fit(recovery: Recovery, measure: Measure, tell: Tell, goal_db: float = np.inf) -> tuple[GaussianModel, float]:
+    """Fit until a goal is reached, the worst view gains no more, also at a slower pace, or the work is done; gives the
+    best by then and its PSNR."""
+    best, best_db = recovery.model, measure(recovery.model)
+    while best_db < goal_db and recovery.left > 0.0:
+        before = best_db
+        model = recovery.run(RECOVERY.round)
+        psnr = measure(model)
+        if psnr > best_db:
+            best, best_db = model, psnr
+        tell(1.0 - max(recovery.left, 0.0) / RECOVERY.work, best_db)
+        if best_db < before + RECOVERY.least_gain_db:
+            if recovery.pace <= RECOVERY.slowest:
+                break
+            recovery.pace /= 3.0
+    return best, best_db
+
+
+def prune_and_fit(
+    model: GaussianModel,
+    impact: Float64,
+    measure: Measure,
+    radius: float,
+    config: PruneConfig,
+    target: Target | None,
+    tell: Tell,
+) -> Pruned:
+    """Prune below the budget, fit what is left, and go on by turns while it comes back above; parameters as of `prune`.
+
+    The answer is that of `prune` where there is no target, or no fit reaches the budget.
+    """
+    if config.budget_db is None or target is None:
+        return prune(model, impact, measure, radius, config)
+    goal, left = config.budget_db, RECOVERY.work
+    for head in RECOVERY.heads_db:
+        start = prune(model, impact, measure, radius, replace(config, budget_db=goal - head))
+        if len(start.model) == len(model):  # too few to prune
+            return start
+        recovery, best = Recovery(start.model, target, left), None
+        kept = start.kept
+        while True:
+            fitted, psnr = fit(recovery, measure, tell, goal + RECOVERY.spare_db)
+            if psnr < goal:
+                break
+            best = Pruned(fitted, kept, psnr, start.merged)
+            spare = psnr - goal
+            if spare < config.tolerance_db or recovery.left <= 0.0:
+                break
+            kept = kept[recovery.keep_best(1.0 - min(RECOVERY.share_per_db * spare, RECOVERY.most_share))]
+        if best is not None:
+            return best
+        left = recovery.left
+    return prune(model, impact, measure, radius, config)
