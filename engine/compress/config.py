@@ -35,7 +35,8 @@ class RecoveryConfig:
     side: int = 800  # pixels at most: at 400 the same work gains less in views of 800
     seed: int = 0xF17  # of the views, and of their order
     hard_share: float = 0.5  # of the steps that go to views by their squared error: the worst view decides
-    slowest: float = 0.12  # of the rates, which are divided by 3 where a round gains too little: twice at most
+    full_pace_db: float = 37.0  # goal up to which the rates are these, and smaller with the error beyond it
+    slowest: float = 0.12  # of the rates, which are divided by 3 where a round gains too little
     # Adam steps: centres, in the Gaussian's own widths; unit quaternions; log scales; logits
     mean_rate: float = 0.03
     quat_rate: float = 5e-3
@@ -49,7 +50,7 @@ class RecoveryConfig:
     # Gaussians that goes for each dB to spare, the most of a turn, and the gain of a round below which there is no more
     heads_db: tuple[float, ...] = (7.0, 2.0)
     spare_db: float = 0.5  # above the budget that is fitted to before more goes
-    share_per_db: float = 0.1
+    share_per_db: float = 0.07
     most_share: float = 0.3
     least_gain_db: float = 0.1
     weighed: int = 4  # every so manieth view says what may go next

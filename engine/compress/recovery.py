@@ -68,16 +68,18 @@ class Target:
         return cls(cameras, [np.clip(render(model, camera), 0.0, 1.0).astype(np.float16) for camera in cameras])
 
 
-def views_for(model: GaussianModel, side: int) -> int:
+def views_for(gaussians: int, side: int) -> int:
     """To how many views of so many pixels a side a model is fitted: fewer where it is slow to draw."""
-    affordable = RECOVERY.looking * RECOVERY.work / cost(len(model), side**2)
+    affordable = RECOVERY.looking * RECOVERY.work / cost(gaussians, side**2)
     return int(np.clip(affordable, RECOVERY.least_views, RECOVERY.views))
 
 
 class Recovery:
     """A fit in progress; the same bits whatever the number of threads."""
 
-    def __init__(self, model: GaussianModel, target: Target, work: float | None = None) -> None:
+    def __init__(
+        self, model: GaussianModel, target: Target, goal_db: float = RECOVERY.full_pace_db, work: float | None = None
+    ) -> None:
         self._base = model  # colours, centres to start from, and where the bounds lie
         self._target = target
         self._width = np.exp(np.median(model.log_scales, axis=1, keepdims=True))  # (N, 1) a Gaussian's own middle one
@@ -89,7 +91,8 @@ class Recovery:
         self._queue = list(self._rng.permutation(len(target.cameras)))
         self._errors = np.ones(len(target.cameras))  # squared, of each view when it was last seen
         self._steps = 0
-        self.pace = 1.0  # factor on all rates
+        # Factor on all rates: steps as large as the error that is aimed at
+        self.pace = min(1.0, 10 ** ((RECOVERY.full_pace_db - goal_db) / 20.0))
         self.left = RECOVERY.work if work is None else work  # that may still be done
 
     @property
@@ -189,7 +192,7 @@ def prune_and_fit(
         start = prune(model, impact, measure, radius, replace(config, budget_db=goal - head))
         if len(start.model) == len(model):  # too few to prune
             return start
-        recovery, best = Recovery(start.model, target, left), None
+        recovery, best = Recovery(start.model, target, goal, left), None
         kept = start.kept
         while True:
             fitted, psnr = fit(recovery, measure, tell, goal + RECOVERY.spare_db)

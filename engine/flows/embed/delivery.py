@@ -102,7 +102,7 @@ def _sights(original: Groundwork, config: EmbedConfig) -> tuple[Target | None, C
     model, side, held = original.model, min(config.view_size, RECOVERY.side), RECOVERY.held_out
     fitted: list[Camera] = []
     if config.prune.recover and recoverable(model):
-        fitted = original.unseen(views_for(model, side) + held, side, np.random.default_rng(RECOVERY.seed))
+        fitted = original.unseen(views_for(len(model), side) + held, side, np.random.default_rng(RECOVERY.seed))
     if len(fitted) < RECOVERY.least_views:  # of the owner's cameras few are left
         return None, worst_psnr_against(original.views.images, original.cameras)
     others = [fitted.pop(k) for k in np.linspace(len(fitted) - 1, 0, held).astype(int)]
