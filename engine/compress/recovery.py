@@ -127,9 +127,12 @@ class Recovery:
         self.left -= cost(len(model), camera.width * camera.height)
         self._steps += 1
         rendering = draw(model, camera, colors=sh_colors(model.sh, model.means, camera.position.astype(np.float32)))
-        gap = np.clip(rendering.image, 0.0, 1.0) - self._target.images[k]
+        gap = np.clip(rendering.image, 0.0, 1.0)
+        gap -= self._target.images[k]
         self._errors[k] = float(np.mean(np.square(gap), dtype=np.float64)) + 1e-12
-        gradients = backward(rendering, _loss_gradient(gap), out=self._gradients)
+        gap /= np.float32(RECOVERY.knee)
+        # Derivative of the absolute error, rounded off near zero (Huber); its scale is nothing to Adam
+        gradients = backward(rendering, np.clip(gap, -1.0, 1.0, out=gap), out=self._gradients)
         np.multiply(gradients.means, self._width, out=gradients.means)
         for name, rate in _RATES.items():
             gradient = getattr(gradients, name)
@@ -147,11 +150,6 @@ class Recovery:
         self._moments = {name: AdamMoments(m.first[keep], m.second[keep]) for name, m in self._moments.items()}
         self._gradients = Gradients.empty(self._base, with_sh=False)
         return keep
-
-
-def _loss_gradient(gap: Float32) -> Float32:
-    """(H, W, 3) derivative of the mean absolute error, rounded off near zero (Huber), from image less target."""
-    return np.clip(gap / np.float32(RECOVERY.knee), -1.0, 1.0) / np.float32(gap.size)
 
 
 def fit(recovery: Recovery, measure: Measure, tell: Tell, goal_db: float = np.inf) -> tuple[GaussianModel, float]:
