@@ -27,7 +27,7 @@ class RecoveryConfig:
 
     per_gaussian: float = 220.0  # of a picture and its gradients; so is the next
     per_pixel: float = 50.0
-    work: float = 25e9  # of all steps, at most: 13 s on two cores
+    work: float = 20e9  # of all steps, at most: 10 s on two cores
     views: int = 48  # fitted to, and the fewest where the original is slow to draw
     least_views: int = 12
     held_out: int = 6  # views that are neither fitted to nor the key's, and held to the budget, too
