@@ -27,7 +27,9 @@ class RecoveryConfig:
 
     per_gaussian: float = 220.0  # of a picture and its gradients; so is the next
     per_pixel: float = 50.0
-    work: float = 20e9  # of all steps, at most: 10 s on two cores
+    work_each: float = 150e3  # that a Gaussian of the original is worth, and the least and most of a model
+    least_work: float = 20e9
+    most_work: float = 80e9
     views: int = 48  # fitted to, and the fewest where the original is slow to draw
     least_views: int = 12
     held_out: int = 6  # views that are neither fitted to nor the key's, and held to the budget, too
@@ -36,7 +38,9 @@ class RecoveryConfig:
     seed: int = 0xF17  # of the views, and of their order
     hard_share: float = 0.5  # of the steps that go to views by their squared error: the worst view decides
     full_pace_db: float = 37.0  # goal up to which the rates are these, and smaller with the error beyond it
-    slowest: float = 0.12  # of the rates, which are divided by 3 where a round gains too little
+    # Steps of a round, and the factors on their rates: at full rates alone the worst view stays 1.5 dB below
+    round: tuple[int, ...] = (60, 25, 15)
+    paces: tuple[float, ...] = (1.0, 0.3, 0.1)
     # Adam steps: centres, in the Gaussian's own widths; unit quaternions; log scales; logits
     mean_rate: float = 0.03
     quat_rate: float = 5e-3
@@ -45,15 +49,15 @@ class RecoveryConfig:
     knee: float = 0.02  # below which an error counts by its square, of a range of 1
     stretch: float = 1.0  # most that a log scale changes: no needles
     opacity_logit: float = 7.0  # beyond which none goes that did not start there
-    round: int = 40  # steps between two looks at the key views
-    # Pruning by turns: how far below the budget it starts (the next where that is not made good), share of the
-    # Gaussians that goes for each dB to spare, the most of a turn, and the gain of a round below which there is no more
+    # Pruning by turns: how far below the budget it starts (the next where that is not made good); PSNR that a factor of
+    # e in the number of Gaussians is worth, at first and at the least and most; the largest share that goes at a time;
+    # how close to the budget is close enough; and the gain of a round below which there is no more to gain, dB
     heads_db: tuple[float, ...] = (7.0, 2.0)
-    spare_db: float = 0.5  # above the budget that is fitted to before more goes
-    share_per_db: float = 0.07
-    most_share: float = 0.3
+    slope_db: float = 6.0
+    slopes_db: tuple[float, float] = (3.0, 25.0)
+    most_share: float = 0.4
+    close_db: float = 0.3
     least_gain_db: float = 0.1
-    weighed: int = 4  # every so manieth view says what may go next
 
 
 CONFIG = CompressConfig()

@@ -56,30 +56,30 @@ class Target:
 
     cameras: Sequence[Camera]
     images: Sequence[Float32]  # (H, W, 3) each, 0 to 1; kept as float16
-
-    @property
-    def seldom(self) -> Sequence[Camera]:
-        """A part of the views, from which Gaussians are weighed."""
-        return self.cameras[:: RECOVERY.weighed]
+    work: float  # that may be spent on fitting to it, nanoseconds of one core
 
     @classmethod
     def of(cls, model: GaussianModel, cameras: Sequence[Camera]) -> "Target":
         """A model, seen by some cameras."""
-        return cls(cameras, [np.clip(render(model, camera), 0.0, 1.0).astype(np.float16) for camera in cameras])
+        images = [np.clip(render(model, camera), 0.0, 1.0).astype(np.float16) for camera in cameras]
+        return cls(cameras, images, work_for(len(model)))
+
+
+def work_for(gaussians: int) -> float:
+    """Work that a model of so many Gaussians is worth."""
+    return min(max(RECOVERY.work_each * gaussians, RECOVERY.least_work), RECOVERY.most_work)
 
 
 def views_for(gaussians: int, side: int) -> int:
     """To how many views of so many pixels a side a model is fitted: fewer where it is slow to draw."""
-    affordable = RECOVERY.looking * RECOVERY.work / cost(gaussians, side**2)
+    affordable = RECOVERY.looking * work_for(gaussians) / cost(gaussians, side**2)
     return int(np.clip(affordable, RECOVERY.least_views, RECOVERY.views))
 
 
 class Recovery:
     """A fit in progress; the same bits whatever the number of threads."""
 
-    def __init__(
-        self, model: GaussianModel, target: Target, goal_db: float = RECOVERY.full_pace_db, work: float | None = None
-    ) -> None:
+    def __init__(self, model: GaussianModel, target: Target, goal_db: float = 0.0, left: float | None = None) -> None:
         self._base = model  # colours, centres to start from, and where the bounds lie
         self._target = target
         self._width = np.exp(np.median(model.log_scales, axis=1, keepdims=True))  # (N, 1) a Gaussian's own middle one
@@ -92,8 +92,13 @@ class Recovery:
         self._errors = np.ones(len(target.cameras))  # squared, of each view when it was last seen
         self._steps = 0
         # Factor on all rates: steps as large as the error that is aimed at
-        self.pace = min(1.0, 10 ** ((RECOVERY.full_pace_db - goal_db) / 20.0))
-        self.left = RECOVERY.work if work is None else work  # that may still be done
+        self._pace = min(1.0, 10 ** ((RECOVERY.full_pace_db - goal_db) / 20.0))
+        self.left = target.work if left is None else left  # of it
+
+    @property
+    def done(self) -> float:
+        """Share of the work that is done."""
+        return 1.0 - max(self.left, 0.0) / self._target.work
 
     @property
     def model(self) -> GaussianModel:
@@ -107,15 +112,21 @@ class Recovery:
         means = base.means + self._width * moving["means"]
         return base.with_(**{name: array.copy() for name, array in moving.items()} | {"means": means})
 
-    def run(self, steps: int) -> GaussianModel:
-        """So many steps, or as many as there is work for; gives the model after them."""
-        for _ in range(steps):
-            if self.left <= 0.0:
-                break
-            self._step()
+    @property
+    def goes_on(self) -> bool:
+        """Whether there is work left for another round."""
+        pixels = max(camera.width * camera.height for camera in self._target.cameras)
+        return self.left >= sum(RECOVERY.round) * cost(len(self._base), pixels)
+
+    def round(self) -> GaussianModel:
+        """Steps at full rates, then at smaller ones, without which some decibels stay away; gives the model after
+        them."""
+        for steps, pace in zip(RECOVERY.round, RECOVERY.paces, strict=True):
+            for _ in range(steps):
+                self._step(pace * self._pace)
         return self.model
 
-    def _step(self) -> None:
+    def _step(self, pace: float) -> None:
         views = len(self._target.cameras)
         if not self._queue:
             share = RECOVERY.hard_share
@@ -138,12 +149,12 @@ class Recovery:
             gradient = getattr(gradients, name)
             if not np.isfinite(gradient.sum()):  # one absurd Gaussian must not spoil the others
                 np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-            adam_step(moving[name], gradient, self._moments[name], self.pace * rate, self._steps)
+            adam_step(moving[name], gradient, self._moments[name], pace * rate, self._steps)
 
     def keep_best(self, share: float) -> Bool:
-        """Go on with this share of the Gaussians, those that a part of the views, weighed by their errors, would miss
-        most; gives (N,) which."""
-        worth = sum_squares(self.model, self._target.seldom, self._errors[:: RECOVERY.weighed])
+        """Go on with this share of the Gaussians, those that the views, weighed by their errors, would miss most; gives
+        (N,) which."""
+        worth = sum_squares(self.model, self._target.cameras, self._errors)
         keep = ranks(worth) > 1.0 - share
         self._base, self._width = self._base.take(keep), self._width[keep]
         self._moving = {name: array[keep] for name, array in self._moving.items()}
@@ -152,21 +163,16 @@ class Recovery:
         return keep
 
 
-def fit(recovery: Recovery, measure: Measure, tell: Tell, goal_db: float = np.inf) -> tuple[GaussianModel, float]:
-    """Fit until a goal is reached, the worst view gains no more, also at a slower pace, or the work is done; gives the
-    best by then and its PSNR."""
-    best, best_db = recovery.model, measure(recovery.model)
-    while best_db < goal_db and recovery.left > 0.0:
-        before = best_db
-        model = recovery.run(RECOVERY.round)
+def fit(recovery: Recovery, measure: Measure, tell: Tell) -> tuple[GaussianModel, float]:
+    """Fit until the worst view gains no more, or the work is done; gives the best by then and its PSNR."""
+    best, best_db, gain_db = recovery.model, measure(recovery.model), np.inf
+    while recovery.goes_on and gain_db >= RECOVERY.least_gain_db:
+        model = recovery.round()
         psnr = measure(model)
-        if psnr > best_db:
+        gain_db = psnr - best_db
+        if gain_db > 0.0:
             best, best_db = model, psnr
-        tell(1.0 - max(recovery.left, 0.0) / RECOVERY.work, best_db)
-        if best_db < before + RECOVERY.least_gain_db:
-            if recovery.pace <= RECOVERY.slowest:
-                break
-            recovery.pace /= 3.0
+        tell(recovery.done, best_db)
     return best, best_db
 
 
@@ -185,23 +191,37 @@ def prune_and_fit(
     """
     if config.budget_db is None or target is None:
         return prune(model, impact, measure, radius, config)
-    goal, left = config.budget_db, RECOVERY.work
+    left = target.work
     for head in RECOVERY.heads_db:
-        start = prune(model, impact, measure, radius, replace(config, budget_db=goal - head))
+        start = prune(model, impact, measure, radius, replace(config, budget_db=config.budget_db - head))
         if len(start.model) == len(model):  # too few to prune
             return start
-        recovery, best = Recovery(start.model, target, goal, left), None
-        kept = start.kept
-        while True:
-            fitted, psnr = fit(recovery, measure, tell, goal + RECOVERY.spare_db)
-            if psnr < goal:
-                break
-            best = Pruned(fitted, kept, psnr, start.merged)
-            spare = psnr - goal
-            if spare < config.tolerance_db or recovery.left <= 0.0:
-                break
-            kept = kept[recovery.keep_best(1.0 - min(RECOVERY.share_per_db * spare, RECOVERY.most_share))]
+        recovery = Recovery(start.model, target, config.budget_db, left)
+        best = _by_turns(recovery, start, measure, config.budget_db, tell)
         if best is not None:
             return best
         left = recovery.left
     return prune(model, impact, measure, radius, config)
+
+
+def _by_turns(recovery: Recovery, start: Pruned, measure: Measure, budget_db: float, tell: Tell) -> Pruned | None:
+    """The fewest Gaussians by which a fit reaches the budget; None where none does."""
+    best, kept, before, slope = None, start.kept, -np.inf, RECOVERY.slope_db
+    while recovery.goes_on:
+        fitted = recovery.round()
+        psnr = measure(fitted)
+        tell(recovery.done, psnr)
+        spare = psnr - budget_db
+        if spare < 0.0:
+            if psnr < before + RECOVERY.least_gain_db:
+                break
+            before = psnr
+            continue
+        if best is not None and psnr < best.psnr_db:  # what the last Gaussians were worth
+            slope = (best.psnr_db - psnr) / np.log(len(best.kept) / len(kept))
+        best = Pruned(fitted, kept, psnr, start.merged)
+        if spare < RECOVERY.close_db:
+            break
+        share = min(1.0 - np.exp(-spare / np.clip(slope, *RECOVERY.slopes_db)), RECOVERY.most_share)
+        kept, before = kept[recovery.keep_best(1.0 - share)], -np.inf
+    return best

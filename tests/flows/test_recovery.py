@@ -35,7 +35,9 @@ SIDE = 64
 def _small() -> object:
     """As little work as shows it."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(recovery, "RECOVERY", replace(RECOVERY, work=2e8, round=20, least_gain_db=0.05))
+    patch.setattr(
+        recovery, "RECOVERY", replace(RECOVERY, least_work=2e8, work_each=0.0, round=(12, 5, 3), least_gain_db=0.05)
+    )
     yield
     patch.undo()
 
@@ -97,9 +99,9 @@ def test_the_same_bits_on_any_number_of_threads() -> None:
 
     def run() -> GaussianModel:
         at_work = Recovery(thin, target)
-        at_work.run(6)
+        at_work.round()
         at_work.keep_best(0.8)
-        return at_work.run(4)
+        return at_work.round()
 
     one, two = with_one_and_two_threads(run)
     assert len(one) < len(thin)
@@ -115,7 +117,7 @@ def test_odd_gaussians_do_no_harm() -> None:
     log_scales[1] = 3.0
     log_scales[2:40, 0] -= 12.0
     odd = whole.with_(means=means, log_scales=log_scales, quats=quats)
-    fitted = Recovery(odd.take(np.arange(0, len(odd), 2)), target_of(odd)).run(30)
+    fitted = Recovery(odd.take(np.arange(0, len(odd), 2)), target_of(odd)).round()
     start = odd.log_scales[::2]
     assert all(np.isfinite(getattr(fitted, name)).all() for name in ("means", "quats", "log_scales", "opacity_logits"))
     assert np.abs(fitted.log_scales - start).max() <= RECOVERY.stretch + 1e-5

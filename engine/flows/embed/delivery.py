@@ -80,7 +80,7 @@ def slim_down(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[
     if config.prune.sh_degree < model.sh_degree:
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
     if target is not None and config.prune.rank == "error":
-        worth = worth + sum_squares(model, target.seldom)  # what key views alone do not show is seen elsewhere
+        worth = worth + sum_squares(model, target.cameras)  # what key views alone do not show is seen elsewhere
     pixels = sum(c.width * c.height for c in cameras)
     curvature = sh_curvature(model, original.views.views, cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, _CONFIG.band_share * 10 ** (-budget / 10.0))
