@@ -124,8 +124,8 @@ def _bar() -> Iterator[Progress]:
                     display.remove_task(task)
                 tasks.clear()
                 tasks[stage] = display.add_task(_in_words(stage), total=1.0)
-            words = {"description": _in_words(stage, reached)} if reached else {}
-            display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0), **words)
+            words = _in_words(stage, reached) if reached else None  # None leaves what stands there
+            display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0), description=words)
 
         yield callback
 

@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.compress.config import RECOVERY
 from engine.compress.impact import ranks
 from engine.compress.pruning import PruneConfig, Pruned, prune
-from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.model import Bool, Camera, Float64, GaussianModel
 from engine.numerics.adam import AdamMoments, adam_step
 from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors
 
@@ -55,7 +56,7 @@ class Target:
     """What is fitted to: renders of the original from views that are no key views."""
 
     cameras: Sequence[Camera]
-    images: Sequence[Float32]  # (H, W, 3) each, 0 to 1; kept as float16
+    images: Sequence[npt.NDArray[np.float16]]  # (H, W, 3) each, 0 to 1
     work: float  # that may be spent on fitting to it, nanoseconds of one core
 
     @classmethod
