@@ -184,28 +184,35 @@ def prune_and_fit(
     radius: float,
     config: PruneConfig,
     target: Target | None,
+    fewest: int,
     tell: Tell,
 ) -> Pruned:
-    """Prune below the budget, fit what is left, and go on by turns while it comes back above; parameters as of `prune`.
+    """Prune below the budget, fit what is left, and go on by turns while it comes back above, to `fewest` Gaussians or
+    half of them; other parameters as of `prune`.
 
     The answer is that of `prune` where there is no target, or no fit reaches the budget.
     """
     if config.budget_db is None or target is None:
         return prune(model, impact, measure, radius, config)
-    left = target.work
+    left, fewest = target.work, min(fewest, len(model) // 2)
     for head in RECOVERY.heads_db:
         start = prune(model, impact, measure, radius, replace(config, budget_db=config.budget_db - head))
         if len(start.model) == len(model):  # too few to prune
             return start
+        if len(start.model) < fewest:
+            rows = np.sort(np.argsort(-impact, kind="stable")[:fewest]).astype(np.int32)
+            start = Pruned(model.take(rows), rows, -np.inf, 0)
         recovery = Recovery(start.model, target, config.budget_db, left)
-        best = _by_turns(recovery, start, measure, config.budget_db, tell)
+        best = _by_turns(recovery, start, measure, config.budget_db, fewest, tell)
         if best is not None:
             return best
         left = recovery.left
     return prune(model, impact, measure, radius, config)
 
 
-def _by_turns(recovery: Recovery, start: Pruned, measure: Measure, budget_db: float, tell: Tell) -> Pruned | None:
+def _by_turns(
+    recovery: Recovery, start: Pruned, measure: Measure, budget_db: float, fewest: int, tell: Tell
+) -> Pruned | None:
     """The fewest Gaussians by which a fit reaches the budget; None where none does."""
     best, kept, before, slope = None, start.kept, -np.inf, RECOVERY.slope_db
     while recovery.goes_on:
@@ -221,8 +228,8 @@ def _by_turns(recovery: Recovery, start: Pruned, measure: Measure, budget_db: fl
         if best is not None and psnr < best.psnr_db:  # what the last Gaussians were worth
             slope = (best.psnr_db - psnr) / np.log(len(best.kept) / len(kept))
         best = Pruned(fitted, kept, psnr, start.merged)
-        if spare < RECOVERY.close_db:
+        if spare < RECOVERY.close_db or len(kept) <= fewest:
             break
-        share = min(1.0 - np.exp(-spare / np.clip(slope, *RECOVERY.slopes_db)), RECOVERY.most_share)
-        kept, before = kept[recovery.keep_best(1.0 - share)], -np.inf
+        share = max(np.exp(-spare / np.clip(slope, *RECOVERY.slopes_db)), RECOVERY.least_share, fewest / len(kept))
+        kept, before = kept[recovery.keep_best(share)], -np.inf
     return best

@@ -86,11 +86,21 @@ def test_fewer_are_left_at_the_same_budget_also_in_views_that_had_no_part() -> N
     measure, target, config = unseen(whole), target_of(whole), PruneConfig(budget_db=BUDGET)
     impact = sum_squares(whole, target.cameras)
     plain = prune(whole, impact, measure, 1.0, config)
-    found = prune_and_fit(whole, impact, measure, 1.0, config, target, tell)
+    found = prune_and_fit(whole, impact, measure, 1.0, config, target, 100, tell)
     assert len(found.model) == len(found.kept) < 0.8 * len(plain.model)
     assert found.psnr_db == pytest.approx(measure(found.model), abs=1e-6)
     assert found.psnr_db >= BUDGET
     assert unseen(whole, seed=3)(found.model) > BUDGET - 1.0
+
+
+@pytest.mark.parametrize(("fewest", "left"), [(600, 600), (5000, 750)])
+def test_no_more_goes_than_the_mark_can_spare(fewest: int, left: int) -> None:
+    """However good what is left looks: so many, or half of the model."""
+    whole = dense(1500)
+    target = target_of(whole, 4)
+    impact, config = sum_squares(whole, target.cameras), PruneConfig(budget_db=30.0)
+    found = prune_and_fit(whole, impact, lambda _: 50.0, 1.0, config, target, fewest, tell)
+    assert len(found.model) == len(found.kept) == left
 
 
 def test_the_same_bits_on_any_number_of_threads() -> None:

@@ -86,7 +86,8 @@ def slim_down(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[
     thin, dropped = drop_unseen_bands(model, curvature, pixels, _CONFIG.band_share * 10 ** (-budget / 10.0))
 
     def pruned(candidate: GaussianModel) -> Fitted:
-        return prune_and_fit(candidate, worth, measure, original.extent.radius, config.prune, target, _tell(clock))
+        radius, fewest = original.extent.radius, round(_CONFIG.left_a_code * config.plan.codes)
+        return prune_and_fit(candidate, worth, measure, radius, config.prune, target, fewest, _tell(clock))
 
     found = pruned(thin)
     if found.psnr_db < budget:  # the bands alone broke a very tight budget
