@@ -50,13 +50,16 @@ class RecoveryConfig:
     stretch: float = 1.0  # most that a log scale changes: no needles
     opacity_logit: float = 7.0  # beyond which none goes that did not start there
     # Pruning by turns: how far below the budget it starts (the next where that is not made good); PSNR that a factor of
-    # e in the number of Gaussians is worth, at first and at the least and most; the least share that a turn leaves;
-    # how close to the budget is close enough; and the gain of a round below which there is no more to gain, dB
+    # e in the number of Gaussians is worth, at first and at the least and most; the least and most share that a turn
+    # leaves; how close to the budget is close enough, and how far below it another round may do; and the gain of a
+    # round below which there is no more to gain, dB
     heads_db: tuple[float, ...] = (7.0, 2.0)
     slope_db: float = 6.0
     slopes_db: tuple[float, float] = (3.0, 25.0)
-    least_share: float = 0.6
+    least_share: float = 0.65
+    most_share: float = 0.98
     close_db: float = 0.3
+    near_db: float = 0.7
     least_gain_db: float = 0.1
 
 

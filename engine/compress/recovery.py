@@ -5,6 +5,7 @@ wavelet term of Eq 9. With a budget, pruning and recovery take turns (DESIGN 4.2
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from engine.compress.config import RECOVERY
 from engine.compress.impact import ranks
 from engine.compress.pruning import PruneConfig, Pruned, prune
-from engine.model import Bool, Camera, Float64, GaussianModel
+from engine.model import Camera, Float64, GaussianModel
 from engine.numerics.adam import AdamMoments, adam_step
 from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors
 
@@ -82,6 +83,7 @@ class Recovery:
 
     def __init__(self, model: GaussianModel, target: Target, goal_db: float = 0.0, left: float | None = None) -> None:
         self._base = model  # colours, centres to start from, and where the bounds lie
+        self.kept = np.arange(len(model), dtype=np.int32)  # (n,) which of its Gaussians are left
         self._target = target
         self._width = np.exp(np.median(model.log_scales, axis=1, keepdims=True))  # (N, 1) a Gaussian's own middle one
         # What Adam moves: centres by their offset in those widths
@@ -152,16 +154,17 @@ class Recovery:
                 np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
             adam_step(moving[name], gradient, self._moments[name], pace * rate, self._steps)
 
-    def keep_best(self, share: float) -> Bool:
-        """Go on with this share of the Gaussians, those that the views, weighed by their errors, would miss most; gives
-        (N,) which."""
-        worth = sum_squares(self.model, self._target.cameras, self._errors)
-        keep = ranks(worth) > 1.0 - share
-        self._base, self._width = self._base.take(keep), self._width[keep]
-        self._moving = {name: array[keep] for name, array in self._moving.items()}
-        self._moments = {name: AdamMoments(m.first[keep], m.second[keep]) for name, m in self._moments.items()}
-        self._gradients = Gradients.empty(self._base, with_sh=False)
-        return keep
+    def thinned(self, share: float) -> "Recovery":
+        """The fit going on with this share of the Gaussians, those that the views, weighed by their errors, would miss
+        most; this one stays as it is."""
+        keep = ranks(sum_squares(self.model, self._target.cameras, self._errors)) > 1.0 - share
+        other = copy(self)
+        other._base, other.kept, other._width = self._base.take(keep), self.kept[keep], self._width[keep]
+        other._moving = {name: array[keep] for name, array in self._moving.items()}
+        other._moments = {name: AdamMoments(m.first[keep], m.second[keep]) for name, m in self._moments.items()}
+        other._gradients = Gradients.empty(other._base, with_sh=False)
+        other._rng, other._queue, other._errors = deepcopy((self._rng, self._queue, self._errors))
+        return other
 
 
 def fit(recovery: Recovery, measure: Measure, tell: Tell) -> tuple[GaussianModel, float]:
@@ -214,22 +217,28 @@ def _by_turns(
     recovery: Recovery, start: Pruned, measure: Measure, budget_db: float, fewest: int, tell: Tell
 ) -> Pruned | None:
     """The fewest Gaussians by which a fit reaches the budget; None where none does."""
-    best, kept, before, slope = None, start.kept, -np.inf, RECOVERY.slope_db
-    while recovery.goes_on:
-        fitted = recovery.round()
+    best: Pruned | None = None
+    at, before, slope = recovery, -np.inf, RECOVERY.slope_db  # `recovery` is the last fit that reached the budget
+    while at.goes_on:
+        fitted = at.round()
         psnr = measure(fitted)
-        tell(recovery.done, psnr)
-        spare = psnr - budget_db
-        if spare < 0.0:
+        tell(at.done, psnr)
+        apart = np.log(len(recovery.kept) / len(at.kept))
+        if best is not None and apart > 0.0 and psnr < best.psnr_db:  # what a factor of e is worth
+            slope = (best.psnr_db - psnr) / apart
+        if psnr >= budget_db:
+            best = Pruned(fitted, start.kept[at.kept], psnr, start.merged)
+            recovery = at
+        elif best is None or (psnr >= budget_db - RECOVERY.near_db and before == -np.inf):  # another round may do
             if psnr < before + RECOVERY.least_gain_db:
                 break
             before = psnr
             continue
-        if best is not None and psnr < best.psnr_db:  # what the last Gaussians were worth
-            slope = (best.psnr_db - psnr) / np.log(len(best.kept) / len(kept))
-        best = Pruned(fitted, kept, psnr, start.merged)
-        if spare < RECOVERY.close_db or len(kept) <= fewest:
+        spare = best.psnr_db - budget_db
+        share = max(np.exp(-spare / np.clip(slope, *RECOVERY.slopes_db)), RECOVERY.least_share)
+        share = max(share, fewest / len(recovery.kept))
+        if spare < RECOVERY.close_db or share > RECOVERY.most_share:
             break
-        share = max(np.exp(-spare / np.clip(slope, *RECOVERY.slopes_db)), RECOVERY.least_share, fewest / len(kept))
-        kept, before = kept[recovery.keep_best(share)], -np.inf
+        recovery.left = at.left
+        at, before = recovery.thinned(share), -np.inf
     return best

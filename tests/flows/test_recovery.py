@@ -36,7 +36,7 @@ def _small() -> object:
     """As little work as shows it."""
     patch = pytest.MonkeyPatch()
     patch.setattr(
-        recovery, "RECOVERY", replace(RECOVERY, least_work=2e8, work_each=0.0, round=(12, 5, 3), least_gain_db=0.05)
+        recovery, "RECOVERY", replace(RECOVERY, least_work=3e8, work_each=0.0, round=(30, 12, 8), least_gain_db=0.05)
     )
     yield
     patch.undo()
@@ -109,9 +109,11 @@ def test_the_same_bits_on_any_number_of_threads() -> None:
 
     def run() -> GaussianModel:
         at_work = Recovery(thin, target)
-        at_work.round()
-        at_work.keep_best(0.8)
-        return at_work.round()
+        worth = sum_squares(at_work.round(), target.cameras)
+        fewer = at_work.thinned(0.8)
+        gone = np.setdiff1d(np.arange(len(thin)), fewer.kept)
+        assert worth[fewer.kept].mean() > 3.0 * worth[gone].mean()
+        return fewer.round()
 
     one, two = with_one_and_two_threads(run)
     assert len(one) < len(thin)
@@ -119,7 +121,7 @@ def test_the_same_bits_on_any_number_of_threads() -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_odd_gaussians_do_no_harm() -> None:
+def test_odd_gaussians_do_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stray far away, one as large as the scene, needles, quaternions of any length."""
     whole = dense(1200)
     means, log_scales, quats = whole.means.copy(), whole.log_scales.copy(), 5.0 * whole.quats
@@ -127,10 +129,11 @@ def test_odd_gaussians_do_no_harm() -> None:
     log_scales[1] = 3.0
     log_scales[2:40, 0] -= 12.0
     odd = whole.with_(means=means, log_scales=log_scales, quats=quats)
+    monkeypatch.setattr(recovery, "RECOVERY", replace(recovery.RECOVERY, stretch=0.08))
     fitted = Recovery(odd.take(np.arange(0, len(odd), 2)), target_of(odd)).round()
     start = odd.log_scales[::2]
     assert all(np.isfinite(getattr(fitted, name)).all() for name in ("means", "quats", "log_scales", "opacity_logits"))
-    assert np.abs(fitted.log_scales - start).max() <= RECOVERY.stretch + 1e-5
+    assert 0.07 < np.abs(fitted.log_scales - start).max() <= 0.08 + 1e-5
     assert np.abs(fitted.opacity_logits).max() <= RECOVERY.opacity_logit
     np.testing.assert_allclose(np.linalg.norm(fitted.quats, axis=1), 1.0, atol=1e-5)
     assert unseen(odd)(fitted) > unseen(odd)(odd.take(np.arange(0, len(odd), 2))) + 1.0
