@@ -28,7 +28,7 @@ class RecoveryConfig:
     per_gaussian: float = 220.0  # of a picture and its gradients; so is the next
     per_pixel: float = 50.0
     work_each: float = 150e3  # that a Gaussian of the original is worth, and the least and most of a model
-    least_work: float = 20e9
+    least_work: float = 25e9
     most_work: float = 80e9
     views: int = 48  # fitted to, and the fewest where the original is slow to draw
     least_views: int = 12
@@ -51,14 +51,12 @@ class RecoveryConfig:
     opacity_logit: float = 7.0  # beyond which none goes that did not start there
     # Pruning by turns: how far below the budget it starts (the next where that is not made good); PSNR that a factor of
     # e in the number of Gaussians is worth, at first and at the least and most; the least and most share that a turn
-    # leaves; how close to the budget is close enough, and how far below it another round may do; and the gain of a
-    # round below which there is no more to gain, dB
+    # leaves; how far below the budget another round may do; and the gain of a round below which there is no more, dB
     heads_db: tuple[float, ...] = (7.0, 2.0)
     slope_db: float = 6.0
     slopes_db: tuple[float, float] = (3.0, 25.0)
     least_share: float = 0.65
     most_share: float = 0.98
-    close_db: float = 0.3
     near_db: float = 0.7
     least_gain_db: float = 0.1
 

@@ -223,22 +223,20 @@ def _by_turns(
         fitted = at.round()
         psnr = measure(fitted)
         tell(at.done, psnr)
-        apart = np.log(len(recovery.kept) / len(at.kept))
-        if best is not None and apart > 0.0 and psnr < best.psnr_db:  # what a factor of e is worth
-            slope = (best.psnr_db - psnr) / apart
+        gained, before = psnr - before, psnr
+        if best is not None and len(at.kept) < len(recovery.kept) and psnr < best.psnr_db:
+            slope = (best.psnr_db - psnr) / np.log(len(recovery.kept) / len(at.kept))
         if psnr >= budget_db:
-            best = Pruned(fitted, start.kept[at.kept], psnr, start.merged)
-            recovery = at
-        elif best is None or (psnr >= budget_db - RECOVERY.near_db and before == -np.inf):  # another round may do
-            if psnr < before + RECOVERY.least_gain_db:
-                break
-            before = psnr
-            continue
-        spare = best.psnr_db - budget_db
-        share = max(np.exp(-spare / np.clip(slope, *RECOVERY.slopes_db)), RECOVERY.least_share)
-        share = max(share, fewest / len(recovery.kept))
-        if spare < RECOVERY.close_db or share > RECOVERY.most_share:
+            best, recovery = Pruned(fitted, start.kept[at.kept], psnr, start.merged), at
+        stays = best is None or (budget_db - RECOVERY.near_db <= psnr < budget_db and gained == np.inf)
+        if best is not None and not stays:
+            share = np.exp((budget_db - best.psnr_db) / np.clip(slope, *RECOVERY.slopes_db))
+            share = max(share, RECOVERY.least_share, fewest / len(recovery.kept))
+            if share <= RECOVERY.most_share:
+                recovery.left = at.left
+                at, before = recovery.thinned(share), -np.inf
+                continue
+            stays = at is recovery and len(at.kept) > fewest  # what is near the budget may gain, and lose more then
+        if not stays or gained < RECOVERY.least_gain_db:
             break
-        recovery.left = at.left
-        at, before = recovery.thinned(share), -np.inf
     return best
