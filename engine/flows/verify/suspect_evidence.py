@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.blur import Blur, find_blur
+from engine.pictures.alignment.color_smoothing import ColorSmoothing, Neighborhoods, find_smoothing
+from engine.pictures.alignment.config import CONFIG as ALIGNMENT
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import (
     Alignment,
@@ -35,7 +37,7 @@ from engine.pictures.alignment.planar import (
     align_upright,
     near_motions,
 )
-from engine.pictures.camera.camera_motion import carried
+from engine.pictures.camera.camera_motion import carried, project
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.pose_refinement import refine_level
@@ -76,24 +78,31 @@ __all__ = [
 ]
 
 _CONFIG = CONFIG.evidence
+SMOOTHING = ALIGNMENT.smoothing
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
 """How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
 
 
 class ReferenceViews:
-    """A record's reference, and one with a mark of public signs, to be seen from many cameras."""
+    """A record's reference, and one with a mark of public signs, to be seen from many cameras; both with their colors
+    smoothed, where the suspect's were."""
 
-    def __init__(self, opened: OpenedRecord) -> None:
+    def __init__(self, opened: OpenedRecord, smoothing: ColorSmoothing | None = None) -> None:
         model, layout, grain = opened.reference, opened.layout, opened.grain
         self.opened = opened
+        self.smoothing = smoothing
         self.signs = public_signs(layout.chips + grain.chips(len(model)))
         self._tint = layout.displace(layout.amplitudes * self.signs[: layout.chips])
+        if smoothing is not None:
+            model = model.with_dc(smoothing.apply(model.sh[:, 0]))
+            self._tint = smoothing.apply(self._tint)
+        self._model = model
         rough = self.signs[layout.chips :].astype(np.float32).reshape(-1, ATTRIBUTES)
         self._rough = roughen(model, grain, rough) if grain.there else model
 
     def at(self, camera: Camera, settings: RasterSettings = RasterSettings()) -> ReferenceView:
         """The reference from one camera."""
-        model, grain = self.opened.reference, self.opened.grain
+        model, grain = self._model, self.opened.grain
         drawn = draw(model, camera, settings=settings)
         view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
         # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
@@ -108,6 +117,20 @@ class ReferenceViews:
                 grain,
             )
         return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
+
+    @cached_property
+    def _neighborhoods(self) -> Neighborhoods:
+        return Neighborhoods(self.opened.reference.means)
+
+    def smoothed_as(self, view: ReferenceView, picture: Float32, mask: Bool) -> ReferenceViews | None:
+        """The reference with its colors smoothed as those of the model that a picture (H, W, 3) in a view's pixels
+        shows; None where they were not, or are smoothed already."""
+        if self.smoothing is not None or view.blur is not None or self.opened.layout.width != 3:
+            return None
+        usable = mask & (view.alpha > SMOOTHING.opaque)
+        colors = self.opened.reference.sh[:, 0]
+        smoothing = find_smoothing(self._neighborhoods, colors, view.view, view.plain, picture, usable)
+        return None if smoothing is None else ReferenceViews(self.opened, smoothing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +157,8 @@ class ReferenceView:
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs, self.blur), through, self.geometry)
+        mark = PublicMark(self.mark, self.of.signs, self.blur, self.of.smoothing)
+        return gather_image_evidence(*seen, mark, through, self.geometry)
 
 
 def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
@@ -157,6 +181,27 @@ class _Laid:
     alignment: Alignment
     behind: Background | None  # what it shows behind the model
 
+    @property
+    def mask(self) -> Bool:
+        """(H, W) the pixels that carry evidence."""
+        return self.alignment.mask if self.behind is None else self.alignment.mask & self.behind.trusted
+
+    def read(self, image: Float32) -> PictureEvidence:
+        """What the picture says, of which `image` is what was laid over."""
+        if self.behind is not None and self.alignment.still:  # as its coder saw it
+            return self.view.read(image, self.mask, self.behind.through)
+        return self.view.read(self.alignment.warped, self.mask)
+
+    def read_best(self, image: Float32) -> tuple[PictureEvidence, ColorSmoothing | None]:
+        """The same, over the reference with its colors smoothed, where those of the picture's model were and that
+        promises more; and how they were."""
+        said, smoothed = self.read(image), self.view.of.smoothed_as(self.view, self.alignment.warped, self.mask)
+        if smoothed is None:
+            return said, self.view.of.smoothing
+        seen = self.view.view
+        again = replace(self, view=smoothed.at(seen.camera, seen.geometry.settings)).read(image)
+        return (again, smoothed.smoothing) if again.promise > said.promise else (said, None)
+
 
 @dataclass(frozen=True, eq=False)
 class ReadPicture:
@@ -165,6 +210,7 @@ class ReadPicture:
     evidence: PictureEvidence
     mirrored: bool = False  # it was turned over
     blur: Blur | None = None  # it was compared with a render blurred so
+    smoothing: ColorSmoothing | None = None  # or with one of a reference whose colors were smoothed so
 
 
 def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> ReadPicture | None:
@@ -180,8 +226,8 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
     else:
         view = view.blurred(blur)
         laid = _Laid(view, align_image(view.plain, face) or alignment, None)
-    evidence = laid.view.read(laid.alignment.warped, laid.alignment.mask)
-    return ReadPicture(evidence, alignment.mirrored, blur)
+    evidence, smoothing = laid.read_best(face)
+    return ReadPicture(evidence, alignment.mirrored, blur, smoothing)
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
@@ -191,28 +237,23 @@ def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) ->
     blur = find_blur(luma(view.plain), view.alpha, luma(image))
     if blur is not None:
         view = view.blurred(blur)
-    whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
+    (whole, smoothing), bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
     if bent is not None:  # no camera says where it is clear, and so what lies behind
         parts = view.read(bent.warped, bent.mask)
-        whole = parts if whole is None or parts.promise > whole.promise else whole
-    return None if whole is None else ReadPicture(whole, found.mirrored, blur)
+        if whole is None or parts.promise > whole.promise:
+            whole, smoothing = parts, None
+    return None if whole is None else ReadPicture(whole, found.mirrored, blur, smoothing)
 
 
 def _read_whole(
     view: ReferenceView, image: Float32, found: FoundCamera, reference: ReferenceViews
-) -> PictureEvidence | None:
+) -> tuple[PictureEvidence | None, ColorSmoothing | None]:
     laid = _lay_over_background(view, image)
     if laid is None:
-        return None
+        return None, None
     if view.blur is None:
         laid = _carried(laid, image, reference, found.settings, True)
-    alignment, behind = laid.alignment, laid.behind
-    if behind is None:
-        return laid.view.read(alignment.warped, alignment.mask)
-    mask = alignment.mask & behind.trusted
-    if alignment.still:  # as its coder saw it
-        return laid.view.read(image, mask, behind.through)
-    return laid.view.read(alignment.warped, mask)
+    return laid.read_best(image)
 
 
 def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
@@ -304,8 +345,12 @@ def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation
 
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
-SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
+DRAWN_ANEW = "it shares no Gaussian with the asset, so it was trained or drawn anew"
+SHOWN_IN_PLACE = f"the suspect model shows the asset where it lies; {DRAWN_ANEW}"
 LEFT_OUT = "left out: picture {} shows the asset, but not the mark that the other pictures agree on"
+
+
+SMOOTHED = "{} whose colors were averaged over neighbors: it was compared with the original smoothed alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,7 +440,7 @@ def read_renders(
     check_drawable(suspect)
     suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
-        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock, budget), opened), (), True)
+        return _seen_placed(registration.place(suspect), opened, clock, budget)
     if registration.mirrored:
         suspect = mirror_model(suspect)
     cameras = [camera.with_side(_CONFIG.render_size) for camera in opened.cameras]
@@ -403,8 +448,13 @@ def read_renders(
     notes = []
     moved, reference = suspect, ReferenceViews(opened)
     place = None
-    if _in_place(suspect, opened, cameras[0]):
+    off = _in_place(suspect, opened, cameras)
+    sure = len(off) >= min(_CONFIG.glances, len(cameras))
+    if off:
         notes += [] if registration.found else [SHOWN_IN_PLACE]
+        if sure and max(off) < _CONFIG.exact:
+            seen = _seen_placed(suspect, opened, clock, budget)
+            return replace(seen, notes=(*notes, *seen.notes), recognised=not registration.found)
     elif opened.landmarks is not None:
         place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance, budget)
         if place is None:
@@ -413,9 +463,11 @@ def read_renders(
         count = f"{len(place.sightings)} of {place.views} views"
         it = "its mirror image" if place.mirrored else "it"
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
+        notes += [] if registration.found else [DRAWN_ANEW]
         for sighting in place.sightings:
             read = read_known(sighting.picture, sighting.found, reference)
             said = _added(said, None if read is None else read.evidence)
+            reference = _smoothed_as_read(reference, read)
     for number, camera in enumerate(cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
@@ -424,22 +476,39 @@ def read_renders(
         if refined is not None and refined.alike:
             read = read_known(picture, refined.camera, reference)
             said = _added(said, None if read is None else read.evidence)
+            reference = _smoothed_as_read(reference, read)
         clock.advance((number + 1) / len(cameras))
-    return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
+    notes += _how_smoothed(reference)
+    recognised = place is not None or (sure and not registration.found)
+    return Seen(_evidence(said, opened), tuple(notes), said is not None, recognised)
 
 
-def _read_placed(
-    moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget
-) -> PictureEvidence | None:
-    """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
+def _smoothed_as_read(reference: ReferenceViews, read: ReadPicture | None) -> ReferenceViews:
+    """The reference as the next views of the same model are compared with: how its colors were smoothed, one tells."""
+    if read is None or read.smoothing is None or reference.smoothing is not None:
+        return reference
+    return ReferenceViews(reference.opened, read.smoothing)
+
+
+def _how_smoothed(reference: ReferenceViews) -> Iterator[str]:
+    if reference.smoothing is not None:
+        yield SMOOTHED.format("the suspect is a model")
+
+
+def _seen_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget) -> Seen:
+    """What the pose key's renders say of a model that lies where the reference lies, to the last digit."""
     said, reference = None, ReferenceViews(opened)
     for number, camera in enumerate(camera.with_side(_CONFIG.render_size) for camera in opened.cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
-        said = _added(said, reference.at(camera).read(picture, np.ones(picture.shape[:2], dtype=bool)))
+        view, mask = reference.at(camera), np.ones(picture.shape[:2], dtype=bool)
+        if number == 0 and (smoothed := reference.smoothed_as(view, picture, mask)) is not None:
+            reference = smoothed
+            view = reference.at(camera)
+        said = _added(said, view.read(picture, mask))
         clock.advance((number + 1) / len(opened.cameras))
-    return said
+    return Seen(_evidence(said, opened), tuple(_how_smoothed(reference)), True)
 
 
 def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> PictureEvidence | None:
@@ -447,11 +516,18 @@ def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> Pictur
     return said.plus(part) if said is not None and part is not None else said or part
 
 
-def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> bool:
-    """Whether the suspect looks like the reference where it stands: a copy trained anew was hardly ever moved."""
-    picture = np.clip(render(suspect, camera), 0.0, 1.0)
-    refined = refine_level(opened.reference, luma(picture), camera, _CONFIG.refinements, _CONFIG.refined)
-    return refined is not None and refined.alike
+def _in_place(suspect: GaussianModel, opened: OpenedRecord, cameras: Sequence[Camera]) -> list[float]:
+    """From up to `glances` views, how far the suspect lies from where the reference lies, pixels, until it looks unlike
+    it: a copy trained anew was hardly ever moved."""
+    means = opened.reference.means[:: max(1, len(opened.reference) // _CONFIG.glance_points)].astype(np.float64)
+    off: list[float] = []
+    for camera in cameras[:: max(1, len(cameras) // _CONFIG.glances)][: _CONFIG.glances]:
+        picture = np.clip(render(suspect, camera), 0.0, 1.0)
+        refined = refine_level(opened.reference, luma(picture), camera, _CONFIG.refinements, _CONFIG.refined)
+        if refined is None or not refined.alike:
+            break
+        off.append(float(np.median(np.linalg.norm(project(means, camera) - project(means, refined.camera), axis=1))))
+    return off
 
 
 def read_pictures(
@@ -516,6 +592,8 @@ def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
         long, short = read.blur.widths
         how = f"standard deviations {long:.1f} and {short:.1f} pixels"
         yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
+    if read.smoothing is not None:
+        yield SMOOTHED.format(f"picture {number + 1} shows a model")
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:
