@@ -192,15 +192,13 @@ class _Laid:
             return self.view.read(image, self.mask, self.behind.through)
         return self.view.read(self.alignment.warped, self.mask)
 
-    def read_best(self, image: Float32) -> tuple[PictureEvidence, ColorSmoothing | None]:
-        """The same, over the reference with its colors smoothed, where those of the picture's model were and that
-        promises more; and how they were."""
-        said, smoothed = self.read(image), self.view.of.smoothed_as(self.view, self.alignment.warped, self.mask)
-        if smoothed is None:
-            return said, self.view.of.smoothing
+    def smoothed(self) -> _Laid:
+        """The picture over the reference with its colors smoothed, where those of the picture's model were."""
+        reference = self.view.of.smoothed_as(self.view, self.alignment.warped, self.mask)
+        if reference is None:
+            return self
         seen = self.view.view
-        again = replace(self, view=smoothed.at(seen.camera, seen.geometry.settings)).read(image)
-        return (again, smoothed.smoothing) if again.promise > said.promise else (said, None)
+        return replace(self, view=reference.at(seen.camera, seen.geometry.settings))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +224,8 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
     else:
         view = view.blurred(blur)
         laid = _Laid(view, align_image(view.plain, face) or alignment, None)
-    evidence, smoothing = laid.read_best(face)
-    return ReadPicture(evidence, alignment.mirrored, blur, smoothing)
+    laid = laid.smoothed()
+    return ReadPicture(laid.read(face), alignment.mirrored, blur, laid.view.of.smoothing)
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
@@ -253,7 +251,8 @@ def _read_whole(
         return None, None
     if view.blur is None:
         laid = _carried(laid, image, reference, found.settings, True)
-    return laid.read_best(image)
+    laid = laid.smoothed()
+    return laid.read(image), laid.view.of.smoothing
 
 
 def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
