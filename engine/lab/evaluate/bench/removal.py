@@ -27,6 +27,7 @@ from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
+from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 from engine.watermark.unpredictability import guess
 
 WASHES = (2.0, 4.0, 5.5, 8.0, np.inf)
@@ -91,7 +92,7 @@ def measure_removal(scene: str, seed: int, profile: str) -> list[Row]:
     truth = [render(marked.original, camera) for camera in judged]
     rows = []
     for name, suspect in _ways(model, size, seed):
-        found = verify_model(suspect, marked.opened, VerifyConfig())
+        found = verify_model(suspect, marked.opened, VerifyConfig(false_claim_rate=DISHONEST_CLAIMANT_RATE))
         pictures = [to_8_bit(render(suspect, camera)) for camera in shown]
         seen = verify_images(pictures, marked.opened, cameras=shown).claim
         paid = min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, judged, strict=True))
