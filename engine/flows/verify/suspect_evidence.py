@@ -16,7 +16,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.verify.config import CONFIG
 from engine.flows.verify.copy_evidence import copy_of_gaussians
-from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.flows.views.render_cost import check_drawable
 from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel, Int32
 from engine.numerics.gaussians import surface_mass
@@ -26,7 +26,7 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.blur import Blur, find_blur
-from engine.pictures.alignment.color_smoothing import ColorSmoothing, Neighborhoods, find_smoothing
+from engine.pictures.alignment.color_change import ColorChange, ColorSmoothing, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG as ALIGNMENT
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import (
@@ -55,6 +55,7 @@ from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_
 from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
 from engine.watermark.picture_agreement import Together
 from engine.watermark.spreading import public_signs
+from engine.watermark.unpredictability import public_misfit
 
 __all__ = [
     "ReadPicture",
@@ -78,24 +79,24 @@ __all__ = [
 ]
 
 _CONFIG = CONFIG.evidence
-SMOOTHING = ALIGNMENT.smoothing
+OPAQUE = ALIGNMENT.color_change.opaque
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
 """How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
 
 
 class ReferenceViews:
     """A record's reference, and one with a mark of public signs, to be seen from many cameras; both with their colors
-    smoothed, where the suspect's were."""
+    changed, where the suspect's were."""
 
-    def __init__(self, opened: OpenedRecord, smoothing: ColorSmoothing | None = None) -> None:
+    def __init__(self, opened: OpenedRecord, change: ColorChange | None = None) -> None:
         model, layout, grain = opened.reference, opened.layout, opened.grain
         self.opened = opened
-        self.smoothing = smoothing
+        self.change = change
         self.signs = public_signs(layout.chips + grain.chips(len(model)))
         self._tint = layout.displace(layout.amplitudes * self.signs[: layout.chips])
-        if smoothing is not None:
-            model = model.with_dc(smoothing.apply(model.sh[:, 0]))
-            self._tint = smoothing.apply(self._tint)
+        if change is not None:
+            model = model.with_dc(change.shown(model.sh[:, 0]))
+            self._tint = change.apply(self._tint)
         self._model = model
         rough = self.signs[layout.chips :].astype(np.float32).reshape(-1, ATTRIBUTES)
         self._rough = roughen(model, grain, rough) if grain.there else model
@@ -122,15 +123,22 @@ class ReferenceViews:
     def _neighborhoods(self) -> Neighborhoods:
         return Neighborhoods(self.opened.reference.means)
 
-    def smoothed_as(self, view: ReferenceView, picture: Float32, mask: Bool) -> ReferenceViews | None:
-        """The reference with its colors smoothed as those of the model that a picture (H, W, 3) in a view's pixels
-        shows; None where they were not, or are smoothed already."""
-        if self.smoothing is not None or view.blur is not None or self.opened.layout.width != 3:
+    @cached_property
+    def _misfit(self) -> Misfit:
+        reference, layout = self.opened.reference, self.opened.layout
+        size = np.sqrt(np.square(layout.displace(self.opened.strength * layout.amplitudes)).mean())
+        return Misfit(public_misfit(reference, measure_extent(reference).radius), float(size))
+
+    def changed_as(self, view: ReferenceView, picture: Float32, mask: Bool) -> ReferenceViews | None:
+        """The reference with its colors changed as those of the model that a picture (H, W, 3) in a view's pixels
+        shows; None where they were not, or are changed already."""
+        if self.change is not None or view.blur is not None or self.opened.layout.width != 3:
             return None
-        usable = mask & (view.alpha > SMOOTHING.opaque)
+        usable = mask & (view.alpha > OPAQUE)
         colors = self.opened.reference.sh[:, 0]
-        smoothing = find_smoothing(self._neighborhoods, colors, view.view, view.plain, picture, usable)
-        return None if smoothing is None else ReferenceViews(self.opened, smoothing)
+        seen = (colors, view.view, view.plain, picture, usable)
+        change = find_color_change(self._neighborhoods, lambda: self._misfit, *seen)
+        return None if change is None else ReferenceViews(self.opened, change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +165,7 @@ class ReferenceView:
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        mark = PublicMark(self.mark, self.of.signs, self.blur, self.of.smoothing)
+        mark = PublicMark(self.mark, self.of.signs, self.blur, self.of.change)
         return gather_image_evidence(*seen, mark, through, self.geometry)
 
 
@@ -192,9 +200,9 @@ class _Laid:
             return self.view.read(image, self.mask, self.behind.through)
         return self.view.read(self.alignment.warped, self.mask)
 
-    def smoothed(self) -> _Laid:
-        """The picture over the reference with its colors smoothed, where those of the picture's model were."""
-        reference = self.view.of.smoothed_as(self.view, self.alignment.warped, self.mask)
+    def washed(self) -> _Laid:
+        """The picture over the reference with its colors changed, where those of the picture's model were."""
+        reference = self.view.of.changed_as(self.view, self.alignment.warped, self.mask)
         if reference is None:
             return self
         seen = self.view.view
@@ -208,7 +216,7 @@ class ReadPicture:
     evidence: PictureEvidence
     mirrored: bool = False  # it was turned over
     blur: Blur | None = None  # it was compared with a render blurred so
-    smoothing: ColorSmoothing | None = None  # or with one of a reference whose colors were smoothed so
+    change: ColorChange | None = None  # or with one of a reference whose colors were changed so
 
 
 def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> ReadPicture | None:
@@ -224,8 +232,8 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
     else:
         view = view.blurred(blur)
         laid = _Laid(view, align_image(view.plain, face) or alignment, None)
-    laid = laid.smoothed()
-    return ReadPicture(laid.read(face), alignment.mirrored, blur, laid.view.of.smoothing)
+    laid = laid.washed()
+    return ReadPicture(laid.read(face), alignment.mirrored, blur, laid.view.of.change)
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
@@ -235,24 +243,24 @@ def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) ->
     blur = find_blur(luma(view.plain), view.alpha, luma(image))
     if blur is not None:
         view = view.blurred(blur)
-    (whole, smoothing), bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
+    (whole, change), bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
     if bent is not None:  # no camera says where it is clear, and so what lies behind
         parts = view.read(bent.warped, bent.mask)
         if whole is None or parts.promise > whole.promise:
-            whole, smoothing = parts, None
-    return None if whole is None else ReadPicture(whole, found.mirrored, blur, smoothing)
+            whole, change = parts, None
+    return None if whole is None else ReadPicture(whole, found.mirrored, blur, change)
 
 
 def _read_whole(
     view: ReferenceView, image: Float32, found: FoundCamera, reference: ReferenceViews
-) -> tuple[PictureEvidence | None, ColorSmoothing | None]:
+) -> tuple[PictureEvidence | None, ColorChange | None]:
     laid = _lay_over_background(view, image)
     if laid is None:
         return None, None
     if view.blur is None:
         laid = _carried(laid, image, reference, found.settings, True)
-    laid = laid.smoothed()
-    return laid.read(image), laid.view.of.smoothing
+    laid = laid.washed()
+    return laid.read(image), laid.view.of.change
 
 
 def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
@@ -349,7 +357,7 @@ SHOWN_IN_PLACE = f"the suspect model shows the asset where it lies; {DRAWN_ANEW}
 LEFT_OUT = "left out: picture {} shows the asset, but not the mark that the other pictures agree on"
 
 
-SMOOTHED = "{} whose colors were averaged over neighbors: it was compared with the original smoothed alike"
+WASHED = "{} whose colors were {}: it was compared with the original changed alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -466,7 +474,7 @@ def read_renders(
         for sighting in place.sightings:
             read = read_known(sighting.picture, sighting.found, reference)
             said = _added(said, None if read is None else read.evidence)
-            reference = _smoothed_as_read(reference, read)
+            reference = _changed_as_read(reference, read)
     for number, camera in enumerate(cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
@@ -475,23 +483,28 @@ def read_renders(
         if refined is not None and refined.alike:
             read = read_known(picture, refined.camera, reference)
             said = _added(said, None if read is None else read.evidence)
-            reference = _smoothed_as_read(reference, read)
+            reference = _changed_as_read(reference, read)
         clock.advance((number + 1) / len(cameras))
-    notes += _how_smoothed(reference)
+    notes += _how_changed(reference)
     recognised = place is not None or (sure and not registration.found)
     return Seen(_evidence(said, opened), tuple(notes), said is not None, recognised)
 
 
-def _smoothed_as_read(reference: ReferenceViews, read: ReadPicture | None) -> ReferenceViews:
-    """The reference as the next views of the same model are compared with: how its colors were smoothed, one tells."""
-    if read is None or read.smoothing is None or reference.smoothing is not None:
+def _changed_as_read(reference: ReferenceViews, read: ReadPicture | None) -> ReferenceViews:
+    """The reference as the next views of the same model are compared with: how its colors were changed, one tells."""
+    if read is None or read.change is None or reference.change is not None:
         return reference
-    return ReferenceViews(reference.opened, read.smoothing)
+    return ReferenceViews(reference.opened, read.change)
 
 
-def _how_smoothed(reference: ReferenceViews) -> Iterator[str]:
-    if reference.smoothing is not None:
-        yield SMOOTHED.format("the suspect is a model")
+def _how_changed(reference: ReferenceViews) -> Iterator[str]:
+    if reference.change is not None:
+        yield _washed("the suspect is a model", reference.change)
+
+
+def _washed(what: str, change: ColorChange) -> str:
+    how = "averaged over neighbors" if isinstance(change, ColorSmoothing) else "denoised"
+    return WASHED.format(what, how)
 
 
 def _seen_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget) -> Seen:
@@ -502,12 +515,12 @@ def _seen_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock, budge
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         view, mask = reference.at(camera), np.ones(picture.shape[:2], dtype=bool)
-        if number == 0 and (smoothed := reference.smoothed_as(view, picture, mask)) is not None:
-            reference = smoothed
+        if number == 0 and (changed := reference.changed_as(view, picture, mask)) is not None:
+            reference = changed
             view = reference.at(camera)
         said = _added(said, view.read(picture, mask))
         clock.advance((number + 1) / len(opened.cameras))
-    return Seen(_evidence(said, opened), tuple(_how_smoothed(reference)), True)
+    return Seen(_evidence(said, opened), tuple(_how_changed(reference)), True)
 
 
 def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> PictureEvidence | None:
@@ -591,8 +604,8 @@ def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
         long, short = read.blur.widths
         how = f"standard deviations {long:.1f} and {short:.1f} pixels"
         yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
-    if read.smoothing is not None:
-        yield SMOOTHED.format(f"picture {number + 1} shows a model")
+    if read.change is not None:
+        yield _washed(f"picture {number + 1} shows a model", read.change)
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:

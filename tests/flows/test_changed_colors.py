@@ -12,6 +12,7 @@ from engine.flows.verify.search import Verification, verify_images
 from engine.flows.verify.suspect_evidence import Seen, read_renders
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
+from engine.lab.evaluate.bench.removal import wash
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.sim.adversaries.laundering import rattle, smooth
@@ -50,8 +51,22 @@ def test_pictures_of_a_washed_model_claim(
     assert z.mean() == pytest.approx(0.0, abs=0.1)
     assert z.std() == pytest.approx(1.0, abs=0.1)
     assert z.max() < z_threshold(1e-9, 2_000)
-    monkeypatch.setattr(suspect_evidence, "find_smoothing", lambda *_: None)
+    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
     assert read.claim.z > 1.5 * known(washed, scene, cameras).claim.z
+
+
+def test_pictures_of_a_denoised_model_claim(
+    scene: MarkedScene, cameras: list[Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layout = scene.opened.layout
+    denoised = wash(scene.marked, 8.0, float(np.sqrt(np.square(layout.displace(layout.amplitudes)).mean())))
+    read = known(denoised, scene, cameras)
+    assert sum("denoised" in note for note in read.claim.notes) == len(cameras)
+    z = wrong_key_z(read.evidence.y, read.evidence.weights, bytes(range(32)), 2_000)
+    assert z.std() == pytest.approx(1.0, abs=0.1)
+    assert z.max() < z_threshold(1e-9, 2_000)
+    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
+    assert read.claim.z > 1.2 * known(denoised, scene, cameras).claim.z
 
 
 def test_a_washed_original_makes_no_claim(scene: MarkedScene, cameras: list[Camera]) -> None:
@@ -67,7 +82,7 @@ def test_what_was_not_smoothed_is_read_as_before(
     camera, sharp = cameras[0], pictures(scene.marked, cameras)[0]
     seen = [sharp, jpeg(sharp, 50), jpeg(sharp, 10)]
     now = [verify_images([one], scene.opened, cameras=[camera]) for one in seen]
-    monkeypatch.setattr(suspect_evidence, "find_smoothing", lambda *_: None)
+    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
     for picture, one in zip(seen, now, strict=True):
         before = verify_images([picture], scene.opened, cameras=[camera])
         assert one.evidence.y.tobytes() == before.evidence.y.tobytes()
@@ -92,7 +107,7 @@ def test_a_model_drawn_anew_in_its_place_is_told_and_read(scene: MarkedScene, mo
     assert seen.recognised
     assert any("trained or drawn anew" in note for note in seen.notes)
     assert any("averaged over neighbors" in note for note in seen.notes)
-    monkeypatch.setattr(suspect_evidence, "find_smoothing", lambda *_: None)
+    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
     plain = read_renders(suspect, scene.opened, unregistered(suspect), Clock(None))
     assert tint_z(seen, scene.opened) > 1.5 * tint_z(plain, scene.opened)
 

@@ -1,22 +1,25 @@
-"""Colors of a model that were averaged over neighbors before it was rendered, which is how a mark is washed out.
+"""Colors of a model that were changed before it was rendered, to wash the mark out: averaged, or denoised.
 
-What averaging does to the *reference* is known: most of what a picture of a washed model is off by follows from the
-reference alone. So the reference is smoothed alike, the picture is held against that, and what is left is the mark, as
-far as the averaging left it.
+What washing does to the *reference* is known: most of what a picture of a washed model is off by follows from the
+reference alone. So the reference is washed alike, the picture is held against that, and what is left is the mark, as
+far as the washing left it.
 
-1. A first look: do averages over runs of neighbors explain a good part of what the picture is off by? Of most pictures
-   they explain nothing.
-2. The colors of the reference are averaged over 8 neighbors again and again: after 1, 4 and 16 rounds, which come to
-   about 8, 32 and 128 neighbors. The picture is regressed on the renders of these. The shares are those of one linear
-   map of the colors, near enough to whatever average was taken.
-3. It counts only if it explains the picture clearly better than the reference does.
+1. A first look: do averages over runs of neighbors explain a part of what the picture is off by? Of most pictures they
+   explain nothing.
+2. *Averaging*: the colors of the reference are averaged over 8 neighbors again and again: after 1, 4 and 16 rounds,
+   which come to about 8, 32 and 128 neighbors. The picture is regressed on the renders of these. The shares are those
+   of one linear map of the colors, near enough to whatever average was taken.
+3. *Denoising*: what a color is not explained by its neighborhood's (`misfit`, from the public cells) is taken off, up
+   to some limit. The picture is regressed on renders of the misfit of the reference, limited at several sizes. How a
+   small displacement comes through follows from the slope of that curve.
+4. What explains the picture better counts, if it is clearly better than the reference.
 
 Nothing here sees a key or a chip.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,9 +31,9 @@ from engine.model import SH_C0, Bool, Float32, Float64, Int64
 from engine.pictures.alignment.config import CONFIG
 from engine.raster import View
 
-__all__ = ["ColorSmoothing", "Neighborhoods", "find_smoothing"]
+__all__ = ["ColorChange", "ColorSmoothing", "Denoising", "Misfit", "Neighborhoods", "find_color_change"]
 
-_CONFIG = CONFIG.smoothing
+_CONFIG = CONFIG.color_change
 
 
 class Neighborhoods:
@@ -102,21 +105,82 @@ class ColorSmoothing:
         shares = self.shares.astype(np.float32)
         return np.asarray(sum(share * each for share, each in zip(shares, averages, strict=True)), dtype=np.float32)
 
+    def shown(self, colors: Float32) -> Float32:
+        """The reference's colors (N, 3), smoothed."""
+        return self.apply(colors)
+
     @property
     def kept(self) -> float:
         """Share of each color that is its own."""
         return float(self.shares[0])
 
 
-def find_smoothing(
-    neighborhoods: Neighborhoods, colors: Float32, view: View, plain: Float32, picture: Float32, usable: Bool
-) -> ColorSmoothing | None:
-    """How the colors of the model that a picture shows were smoothed; None where they were not.
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """What the reference's colors are not explained by their neighborhoods'."""
+
+    values: Float32  # (N, 3) DC
+    size: float  # of a mark's displacements, DC: limits are counted in it
+
+    def limited(self, limit: float) -> Float32:
+        """(N, 3) no more than so many times the mark's size, softly."""
+        most = np.float32(limit * self.size)
+        return np.asarray(most * np.tanh(self.values / most))
+
+    def slope(self, limit: float) -> Float32:
+        """(N, 3) of `limited`."""
+        return np.asarray(1.0 - np.square(np.tanh(self.values / np.float32(limit * self.size))))
+
+
+@dataclass(frozen=True, eq=False)
+class Denoising:
+    """What became of a model's colors: some curve of their misfit was added to them."""
+
+    misfit: Misfit
+    times: Float64  # (L,) of the misfit limited at each size
+    neighborhoods: Neighborhoods
+
+    def shown(self, colors: Float32) -> Float32:
+        """The reference's colors (N, 3), denoised."""
+        return np.asarray(colors + self._sum(self.misfit.limited), dtype=np.float32)
+
+    def apply(self, displacements: Float32) -> Float32:
+        """Small displacements of its colors (N, 3), as they come through: the misfit changes by what they are off from
+        the widest average."""
+        *_, around = self.neighborhoods.averaged(displacements)
+        return np.asarray(displacements + self._sum(self.misfit.slope) * (displacements - around), dtype=np.float32)
+
+    def adjoint(self, cotangent: Float32) -> Float32:
+        """A cotangent of the denoised colors (N, 3), pulled back."""
+        through = self._sum(self.misfit.slope) * cotangent
+        *_, around = self.neighborhoods.adjoint(through)
+        return np.asarray(cotangent + through - around, dtype=np.float32)
+
+    def _sum(self, part: Callable[[float], Float32]) -> Float32:
+        parts = (np.float32(times) * part(limit) for times, limit in zip(self.times, _CONFIG.limits, strict=True))
+        return np.asarray(sum(parts), dtype=np.float32)
+
+
+ColorChange = ColorSmoothing | Denoising
+
+
+def find_color_change(
+    neighborhoods: Neighborhoods,
+    misfit: Callable[[], Misfit],
+    colors: Float32,
+    view: View,
+    plain: Float32,
+    picture: Float32,
+    usable: Bool,
+) -> ColorChange | None:
+    """How the colors of the model that a picture shows were changed; None where they were not.
 
     Parameters
     ----------
     neighborhoods : Neighborhoods
         Of the reference.
+    misfit : callable
+        Of its colors; called where the first look shows something.
     colors : (N, 3) float32
         Its DC coefficients.
     view : View
@@ -135,17 +199,23 @@ def find_smoothing(
     where = where[:: max(1, len(where) // _CONFIG.samples)]
     base, seen = (image.reshape(-1, 3)[where] for image in (plain, picture))
 
-    def shown(smoothed: Float32) -> Float32:
-        """(P, 3) what these colors change in the render."""
-        image, _ = view.render(np.ascontiguousarray(np.float32(SH_C0) * (smoothed - colors)))
+    def shown(change: Float32) -> Float32:
+        """(P, 3) what a change of the colors changes in the render."""
+        image, _ = view.render(np.ascontiguousarray(np.float32(SH_C0) * change))
         return image.reshape(-1, 3)[where]
 
-    if _fit([shown(neighborhoods.runs(colors))], base, seen)[1] < _CONFIG.looks:
+    if _fit([shown(neighborhoods.runs(colors) - colors)], base, seen)[1] < _CONFIG.looks:
         return None
     _, *averages = neighborhoods.averaged(colors)
-    shares, explained = _fit([shown(each) for each in averages], base, seen)
+    shares, smoothed = _fit([shown(each - colors) for each in averages], base, seen)
     smoothing = ColorSmoothing(neighborhoods, np.concatenate([[1.0 - shares.sum()], shares]))
-    return smoothing if explained > _CONFIG.explained and smoothing.kept < _CONFIG.kept else None
+    if smoothed > _CONFIG.surely:
+        return smoothing
+    rest = misfit()
+    times, denoised = _fit([shown(rest.limited(limit)) for limit in _CONFIG.limits], base, seen)
+    if max(smoothed, denoised) < _CONFIG.explained:
+        return None
+    return smoothing if smoothed > denoised else Denoising(rest, times, neighborhoods)
 
 
 def _fit(columns: Sequence[Float32], base: Float32, seen: Float32) -> tuple[Float64, float]:
