@@ -7,7 +7,7 @@ import pytest
 
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify import suspect_evidence
+from engine.flows.verify import reference_views
 from engine.flows.verify.search import Verification, verify_images
 from engine.flows.verify.suspect_evidence import Seen, read_renders
 from engine.flows.views.camera_rig import make_rig
@@ -51,7 +51,7 @@ def test_pictures_of_a_washed_model_claim(
     assert z.mean() == pytest.approx(0.0, abs=0.1)
     assert z.std() == pytest.approx(1.0, abs=0.1)
     assert z.max() < z_threshold(1e-9, 2_000)
-    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_color_change", lambda *_: None)
     assert read.claim.z > 1.5 * known(washed, scene, cameras).claim.z
 
 
@@ -65,7 +65,7 @@ def test_pictures_of_a_denoised_model_claim(
     z = wrong_key_z(read.evidence.y, read.evidence.weights, bytes(range(32)), 2_000)
     assert z.std() == pytest.approx(1.0, abs=0.1)
     assert z.max() < z_threshold(1e-9, 2_000)
-    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_color_change", lambda *_: None)
     assert read.claim.z > 1.2 * known(denoised, scene, cameras).claim.z
 
 
@@ -82,7 +82,7 @@ def test_what_was_not_smoothed_is_read_as_before(
     camera, sharp = cameras[0], pictures(scene.marked, cameras)[0]
     seen = [sharp, jpeg(sharp, 50), jpeg(sharp, 10)]
     now = [verify_images([one], scene.opened, cameras=[camera]) for one in seen]
-    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_color_change", lambda *_: None)
     for picture, one in zip(seen, now, strict=True):
         before = verify_images([picture], scene.opened, cameras=[camera])
         assert one.evidence.y.tobytes() == before.evidence.y.tobytes()
@@ -107,7 +107,7 @@ def test_a_model_drawn_anew_in_its_place_is_told_and_read(scene: MarkedScene, mo
     assert seen.recognised
     assert any("trained or drawn anew" in note for note in seen.notes)
     assert any("averaged over neighbors" in note for note in seen.notes)
-    monkeypatch.setattr(suspect_evidence, "find_color_change", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_color_change", lambda *_: None)
     plain = read_renders(suspect, scene.opened, unregistered(suspect), Clock(None))
     assert tint_z(seen, scene.opened) > 1.5 * tint_z(plain, scene.opened)
 
