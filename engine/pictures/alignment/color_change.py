@@ -240,4 +240,4 @@ def _fit(columns: Sequence[Float32], base: Float32, seen: Float32) -> tuple[Floa
     curves = np.linalg.solve(normal[count:, count:], right[count:])
     before = float(weight @ np.square(target - design[:, count:] @ curves))
     after = float(weight @ np.square(left))
-    return solution[:count], 1.0 - after / before if before > 0 else 0.0
+    return np.asarray(solution[:count], dtype=np.float64), 1.0 - after / before if before > 0 else 0.0

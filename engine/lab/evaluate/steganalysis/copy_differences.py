@@ -108,14 +108,13 @@ def _cases(
 
 def _balanced(means: npt.NDArray[Any], colors: npt.NDArray[Any], other: Int64, crossed: Bool) -> Float64:
     """(N,) weights with which both kinds of pairs are as frequent in each class of distance."""
-    ranks = []
-    for values, count in zip((means, colors), CLASSES, strict=True):
+    group = np.zeros(len(other), dtype=np.int64)
+    for values, classes in zip((means, colors), CLASSES, strict=True):
         apart = np.linalg.norm(values.astype(np.float64) - values[other], axis=1)
-        ranks.append(np.argsort(np.argsort(apart, kind="stable"), kind="stable") * count // len(apart))
-    group = ranks[0] * CLASSES[1] + ranks[1]
-    count = np.stack([np.bincount(group, crossed == kind, CLASSES[0] * CLASSES[1]) for kind in (False, True)])
-    own = count[crossed.astype(int), group]
-    return np.asarray(np.where(count.min(axis=0)[group] > 0, count.min(axis=0)[group] / np.maximum(own, 1.0), 0.0))
+        group = group * classes + np.argsort(np.argsort(apart, kind="stable"), kind="stable") * classes // len(apart)
+    counts = np.stack([np.bincount(group, crossed == kind, int(np.prod(CLASSES))) for kind in (False, True)])
+    fewer, own = counts.min(axis=0)[group], counts[crossed.astype(int), group]
+    return np.asarray(fewer / np.maximum(own, 1.0))
 
 
 def _crossed(parts: list[tuple[Float64, Bool, Float64, Int64]], half: Bool, seed: int) -> tuple[float, int]:
