@@ -60,6 +60,11 @@ class LatticeConfig:
     finest: float = 2.0**-21  # step, in the largest value, below which floats themselves are no coarser
     off: float = 0.05  # mean distance of values from their lattice by rounding, steps: by chance it is a quarter
     least_rows: int = 64  # below which nothing is found
+    # Rows that show whether steps change between rows: a quarter of a chunk of compressed PLY; and enough for 16 bits
+    windows: tuple[int, ...] = (64, 1024)
+    probes: int = 24  # such windows that are looked at first,
+    glance: int = 6  # each sixth before the others: of free values none lies on even steps
+    least_probes: float = 0.15  # share of the probes that must: others lie across a change
     # Share of a step from which a displacement is rounded, up or down; below, the value stays. A rare whole step says
     # little of a small displacement, and shows. Of colors, code vectors average over many
     least_move_geometry: float = 0.25

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from engine.flows.trace.tracing import trace_images
+from engine.flows.verify.reference_views import ReferenceViews
 from engine.flows.verify.search import verify_images
-from engine.flows.verify.suspect_evidence import ReferenceViews
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.removal import wash
