@@ -11,8 +11,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-demo
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt
-# One more than there are cores: some tests wait for servers and browsers.
-WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
+# Two more than there are cores: some tests wait for servers and browsers.
+WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 2)
 UNITS := architecture cli compress credentials flows formats kernels numerics pictures present raster records registration theory watermark
 # Also where the environment forbids it: each worker would rewrite the asserts of all tests anew.
 export PYTHONDONTWRITEBYTECODE :=

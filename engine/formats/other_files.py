@@ -106,6 +106,11 @@ _KINDS = (
     ),
     _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
     _Other(
+        "is a picture of a kind that is not read (JPEG 2000, JPEG XL, PSD or SVG): save it as PNG or JPEG",
+        (b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51", b"\0\0\0\x0cJXL ", b"\xff\x0a", b"8BPS", b"<svg"),
+        endings=(".jp2", ".jxl", ".psd", ".svg"),
+    ),
+    _Other(
         "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
         (_MATROSKA,),
         lambda data: _boxed()(data) or data[8:12] == _AVI,

@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.architecture.tree import ROOT, module_name, parse, product_files
 
 SECONDS = 0.5
@@ -68,6 +70,7 @@ def test_an_api_process_brings_nothing_that_works_on_models() -> None:
     assert json.loads(run(OPENING, "service.app"))[1] == []
 
 
+@pytest.mark.long
 def test_only_torch_modules_import_torch_when_loaded() -> None:
     direct = {module_name(path) for path in product_files() if imports_at_load(path, "torch")}
     assert direct <= TORCH_MODULES

@@ -55,7 +55,11 @@ def defocused(image: Float32, sigma: float) -> Float32:
 
 @pytest.mark.parametrize(
     ("blur", "strength", "page"),
-    [pytest.param(moved, 10.0, 0.0, marks=pytest.mark.long), (moved, 15.0, 1.0), (defocused, 3.0, 1.0)],
+    [
+        pytest.param(moved, 10.0, 0.0, marks=pytest.mark.long),
+        (moved, 15.0, 1.0),
+        pytest.param(defocused, 3.0, 1.0, marks=pytest.mark.long),
+    ],
 )
 def test_a_blurred_picture_claims_by_itself(
     with_landmarks: OpenedRecord,

@@ -108,6 +108,7 @@ def test_chains_of_formats_stay_the_same_scene() -> None:
     ("head", "advice"),
     [
         (b"\0\0\0\x18ftypheic", "HEIC photo: save it as JPEG"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", "save it as PNG"),
         (b"\0\0\0\x20ftypisom", "video: save some of its frames"),
         (b"\x1aE\xdf\xa3\x9fB\x86", "video"),
         (b"RIFF\0\0\0\0AVI LIST", "video"),

@@ -12,10 +12,10 @@ from engine.pictures.alignment.planar import align_image
 from engine.pictures.alignment.residual import image_cotangent
 from engine.pictures.alignment.tone_curve import _clipped_mean
 from engine.pictures.alignment.uneven_light import fit_colors, fit_light, predict_brightness
-from tests.pictures.image_cases import marked, picture, z_score
+from tests.pictures.image_cases import SIDE, marked, picture, z_score
 
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-WHOLE = np.ones(picture().shape[:2], dtype=bool)
+WHOLE = np.ones((SIDE, SIDE), dtype=bool)
 
 
 @cache
@@ -87,7 +87,7 @@ def test_a_caption_does_not_move_the_brightness() -> None:
     ("name", "strength", "least"),
     [
         ("vignette", 0.7, 38),
-        ("rolling_exposure", 0.8, 33),
+        pytest.param("rolling_exposure", 0.8, 33, marks=pytest.mark.long),
         ("flicker", 0.2, 36),
         ("gamma", 2.2, 24),
         ("gamma", 0.33, 38),

@@ -89,7 +89,8 @@ def test_a_shape_that_nobody_makes_is_none(plant: GaussianModel, shape: PixelSha
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("ratio", "mirrored"), [(0.65, False), pytest.param(0.93, True, marks=pytest.mark.long), (1.6, False)]
+    ("ratio", "mirrored"),
+    [pytest.param(0.65, False, marks=pytest.mark.long), pytest.param(0.93, True, marks=pytest.mark.long), (1.6, False)],
 )
 def test_the_camera_of_a_picture_scaled_unevenly_is_found(
     plant: GaussianModel, bank: Landmarks, ratio: float, mirrored: bool

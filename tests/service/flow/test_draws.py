@@ -188,6 +188,7 @@ def test_copies_are_drawn_for_once_and_claim_at_chance_rate(house: House, stamps
     assert verify_report(house.document(weaker)[1].encode(), keys).valid
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_without_a_time_stamping_service_claims_need_the_strict_rate(tmp_path: Path, stamps: Stamps) -> None:
     """Also later, when there is one: copies that are out cannot be drawn for again."""

@@ -92,6 +92,7 @@ def test_its_owner_is_told_when_a_stranger_marks_it_again(
     assert [(notice.asset_id, notice.uploaded_as) for notice in notices] == [(old, made.asset_id)]
 
 
+@pytest.mark.long
 def test_new_marks_stand_beside_the_old(owner: Client, old: str, model: bytes, tmp_path: Path) -> None:
     key_id = owner.call("GET", "/v1/keys")["items"][0]["id"]
     original = owner.download(old, tmp_path / "original", version="original").read_bytes()
