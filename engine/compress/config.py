@@ -27,8 +27,8 @@ class RecoveryConfig:
 
     per_gaussian: float = 220.0  # of a picture and its gradients; so is the next
     per_pixel: float = 50.0
-    work_each: float = 150e3  # that a Gaussian of the original is worth, and the least and most of a model
-    least_work: float = 25e9
+    least_work: float = 6e9  # that any model is worth, each of its Gaussians, and the most of a model
+    work_each: float = 130e3
     most_work: float = 80e9
     views: int = 48  # fitted to, and the fewest where the original is slow to draw
     least_views: int = 12

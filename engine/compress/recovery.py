@@ -69,7 +69,7 @@ class Target:
 
 def work_for(gaussians: int) -> float:
     """Work that a model of so many Gaussians is worth."""
-    return min(max(RECOVERY.work_each * gaussians, RECOVERY.least_work), RECOVERY.most_work)
+    return min(RECOVERY.least_work + RECOVERY.work_each * gaussians, RECOVERY.most_work)
 
 
 def views_for(gaussians: int, side: int) -> int:
