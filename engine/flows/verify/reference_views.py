@@ -53,12 +53,14 @@ class ReferenceViews:
     ) -> ReferenceView:
         """The reference from one camera; `tone` is the viewer's."""
         model, grain = self._model, self.opened.grain
-        own = sh_colors(model.sh, model.means, camera.position)
-        toned, steep = (None, None) if tone is None else (tone(own), tone.slope(own))
+        own = steep = toned = None
+        if tone is not None:
+            own = sh_colors(model.sh, model.means, camera.position)
+            toned, steep = tone(own), tone.slope(own)
         drawn = draw(model, camera, settings=settings, colors=toned)
         view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
         # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
-        colors = np.maximum(own + seen_shift(self._tint, model, camera), 0.0)
+        colors = np.maximum((drawn.colors if own is None else own) + seen_shift(self._tint, model, camera), 0.0)
         colors = colors if tone is None else tone(colors)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
         geometry = None
