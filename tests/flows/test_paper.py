@@ -29,6 +29,7 @@ def small(**changes: Any) -> EmbedConfig:
     stages = {
         "quantize": replace(start.quantize, residual_codes=(128, 128)),
         "refine": replace(start.refine, steps=6, size=128),
+        "prune": replace(start.prune, recover=False),
     }
     return replace(start, **stages | changes)
 
@@ -88,6 +89,17 @@ def test_every_stage_has_run(model: GaussianModel, marked: tuple[Embedding, Open
     np.testing.assert_allclose(made.model.sh, shared, atol=1e-5)
     moved = made.model.sh[:, 1:] - opened.reference.sh[:, 1:]
     assert np.abs(moved).max() > 5e-3, "the mark is in the harmonics, too"
+
+
+@pytest.mark.long
+def test_what_is_pruned_is_fitted_before_it_is_marked(
+    model: GaussianModel, marked: tuple[Embedding, OpenedRecord]
+) -> None:
+    made, opened = mark(model, small(prune=profile("paper").prune))
+    before = marked[0].report
+    assert made.report["psnr_pruned_worst_view"] > before["psnr_pruned_worst_view"] + 3.0
+    assert made.report["gaussians_out"] == before["gaussians_out"]
+    assert verify_model(made.model, opened, BY_PAPER).claim.matching_bits == 32
 
 
 def test_an_unmarked_model_is_not_claimed(marked: tuple[Embedding, OpenedRecord]) -> None:
