@@ -191,13 +191,13 @@ def prune_and_fit(
     tell: Tell,
 ) -> Pruned:
     """Prune below the budget, fit what is left, and go on by turns while it comes back above, to `fewest` Gaussians or
-    half of them; other parameters as of `prune`.
+    a quarter of them; other parameters as of `prune`.
 
     The answer is that of `prune` where there is no target, or no fit reaches the budget.
     """
     if config.budget_db is None or target is None:
         return prune(model, impact, measure, radius, config)
-    left, fewest = target.work, min(fewest, len(model) // 2)
+    left, fewest = target.work, min(fewest, len(model) // 4)
     for head in RECOVERY.heads_db:
         start = prune(model, impact, measure, radius, replace(config, budget_db=config.budget_db - head))
         if len(start.model) == len(model):  # too few to prune

@@ -5,7 +5,7 @@ to see: the Gaussians of the greatest W^freq are split.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,7 +60,8 @@ def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delive
     with clock.stage("prune"):
         slim, pruned = slim_down(original, settings, clock)
     with clock.stage("quantize"):
-        ground = original.of(slim, clock)
+        # What is left is quantised as these settings say, under whichever ones it was looked at.
+        ground = (replace(original, config=settings) if settings.thins else original).of(slim, clock)
         model, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
         return Delivery(settings, ground, model, tuple(stages), ground.views_of(model, clock), pruned)
 
