@@ -28,6 +28,7 @@ from service.health.endpoints import router as health
 from service.http.access import check_address
 from service.http.error_responses import install
 from service.http.middleware import BodyGuard, SafeHeaders
+from service.keys.api_keys import router as api_keys
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me
 from service.tracking.endpoints import router as jobs
@@ -44,6 +45,7 @@ record that was made at embedding."""
 ROUTERS = (
     ("me", me),
     ("keys", keys),
+    ("api-keys", api_keys),
     ("uploads", uploads),
     ("acquisitions", acquisitions),
     ("embeds", embeds),

@@ -10,18 +10,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict
 
+import sqlalchemy as sa
+
 from engine.errors import InputError
 from service.blobs import Blobs
 from service.db import Database
+from service.db.schema import facts
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run
 from service.problems import Problem
 from service.processes import Answer, Reply
 from service.settings import Settings
+from service.trust import audit
+from service.trust.api_keys import Caller
 from service.trust.commitments import registration_of
 from service.trust.draws import vouching
 from service.trust.master import MasterKey
 from service.trust.owner_keys import open_key
+
+PUBLIC_URL = "public_url"
+"""Name of the fact: address of this service as its owner entered it."""
 
 RESTORING = "restoring"
 """Folder in the data folder in which a backup is laid out before it takes its place."""
@@ -59,6 +67,22 @@ class Service:
         db.migrate()
         blobs = Blobs(settings.blob_url, settings.data_dir / "blobs", settings.scratch)
         return cls(settings, db, blobs, MasterKey.open(settings, db), DurableJobs(db, settings.jobs_database()))
+
+    def public_url(self) -> str:
+        """Address of this service, without a slash at its end: the setting, else what was entered; "" for none."""
+        if not (url := self.settings.public_url):
+            query = sa.select(facts.c.value).where(facts.c.name == PUBLIC_URL)
+            url = self.db.query(query).scalar_one_or_none() or ""
+        return url.rstrip("/")
+
+    def set_public_url(self, caller: Caller, url: str) -> None:
+        """Store the address of this service for later links, "" for none; "conflict" where a setting has it."""
+        if self.settings.public_url:
+            raise Problem("conflict", f"MARK3DGS_PUBLIC_URL sets the address: {self.settings.public_url}")
+        with self.db.exclusive() as connection:
+            connection.execute(sa.delete(facts).where(facts.c.name == PUBLIC_URL))
+            connection.execute(facts.insert().values(name=PUBLIC_URL, value=url))
+            audit.append(connection, caller.tenant, "service.addressed", {"public_url": url}, caller.tenant)
 
     def do_task(self, run: Run, task: str, request: Mapping[str, Any], answer: Answer | None = None) -> Reply:
         """Do a task of `service.work` in a step; its reply, with `kept` (name -> SHA-256) in place of its `files`."""

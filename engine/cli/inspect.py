@@ -14,6 +14,7 @@ from engine.cli.embed import size
 from engine.cli.options import Json, SpzFrame
 from engine.cli.trust_options import read_certificates
 from engine.numerics.plain import Json as Values
+from engine.present.numerals import number
 
 if TYPE_CHECKING:
     from engine.credentials.reading import Credentials
@@ -74,10 +75,10 @@ def inspect(
     console.say(f"  color       spherical harmonics of degree {report['sh_degree']}")
     console.say(f"  rendered    {DRAWN[report['render_mode']]}")
     console.say(f"  kind        {'room, seen from inside' if report['is_room'] else 'object, seen from around'}")
-    console.say(f"  center      {_vector(report['center'])}, radius {report['radius']:.4g}")
+    console.say(f"  center      {_vector(report['center'])}, radius {number(report['radius'], 4)}")
     console.say(f"  bounds      {_vector(low)} to {_vector(high)}")
     console.say(f"  opacity     median {report['opacity_median']:.3f}")
-    console.say(f"  scale       median {report['scale_median']:.3g}")
+    console.say(f"  scale       median {number(report['scale_median'])}")
     console.say(f"  sha256      {report['sha256']}")
     for repair in report["repairs"]:
         console.say(f"  repaired    {repair['text']}")
@@ -137,4 +138,4 @@ def _pem(path: Path) -> str:
 
 
 def _vector(values: list[float]) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+    return "(" + ", ".join(number(value, 4) for value in values) + ")"

@@ -109,12 +109,13 @@ def render(
 def choose_camera(model: GaussianModel, camera_file: Path | None, view: int, size: tuple[int, int] | None) -> Camera:
     """The camera chosen: of a file, or of the rig around the model."""
     from engine.flows.views.camera_rig import make_rig
+    from engine.flows.views.display_view import with_all
 
     if camera_file is None:
         width, height = size or DEFAULT_SIZE
         if view >= RIG_VIEWS:
             raise InputError(f"the automatic rig has views 0 to {RIG_VIEWS - 1}, got {view}")
-        return make_rig(model, RIG_VIEWS, width, height)[view]
+        return with_all(model, make_rig(model, RIG_VIEWS, width, height)[view])
     from engine.formats import read_cameras
 
     cameras = read_cameras(camera_file)

@@ -14,6 +14,7 @@ from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key
 from engine.errors import InputError
+from engine.present.numerals import PLAIN
 from engine.usecases.suspect import SuspectFiles
 
 if TYPE_CHECKING:
@@ -98,19 +99,16 @@ def _lines(found: Tracing) -> list[str]:
     tested = f"{len(findings)} {'copy' if len(findings) == 1 else 'copies'} tested"
     names = ", ".join(repr(finding.copy) for finding in found.named)
     lines = [f"NAMED: {names}; {tested}." if named else f"NONE NAMED; {tested}.", ""]
-    lines.append(f"{'copy':<28}{'z':>8}  {'false claim':>12}  {'asset found':>11}  record")
+    lines.append(f"{'copy':<28}{'z':>8}  {'false claim':<21}  {'asset found':>11}  record")
     for finding in findings[: max(SHOWN, named)]:
         share = finding.derived_fraction
         lines.append(
-            f"{finding.copy[:27]:<28}{finding.z:>8.1f}  {_bound(finding.log10_false_claim):>12}  "
+            f"{finding.copy[:27]:<28}{finding.z:>8.1f}  {PLAIN.odds(finding.log10_false_claim):<21}  "
             f"{'' if share is None else f'{100 * share:.0f} %':>11}  {finding.record_id}"
         )
     if len(findings) > max(SHOWN, named):
         lines.append(f"... and {len(findings) - max(SHOWN, named)} more, all below")
+    tried = f"{found.tries:,} {'hypothesis' if found.tries == 1 else 'hypotheses'}"
     lines += ["", f"A copy is named from z = {found.z_threshold:.2f} on: the chance that any innocent one"]
-    lines.append(f"reaches it is at most {found.false_claim_rate:g}, all {found.tries} tries counted.")
+    lines.append(f"reaches it is at most {PLAIN.rate(found.false_claim_rate)}, corrected for {tried}.")
     return lines + list(found.notes)
-
-
-def _bound(log10: float) -> str:
-    return "no better" if log10 >= 0 else f"1e{log10:.0f}"

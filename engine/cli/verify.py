@@ -18,6 +18,7 @@ from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key, SpzFrame
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
+from engine.present.numerals import number
 from engine.usecases.files import check_folder, read_bytes, whole_folder
 from engine.usecases.read_ahead import Ahead
 from engine.usecases.suspect import SuspectFiles
@@ -246,15 +247,15 @@ def region_lines(report: RegionReport, folder: str) -> Iterator[str]:
     wrong = f" (at most {100 * report.false_discoveries:.2g} % of them expected not to be)" if summary["marked"] else ""
     others = ", ".join(f"{summary[name]} {name}" for name in ("altered", "unclear", "unseen"))
     yield f"Regions: {summary['marked']} marked{wrong}, {others}"
-    for number, piece in enumerate(report.pieces):
+    for count, piece in enumerate(report.pieces, start=1):
         placed = piece.registration
         if placed is None:
             continue
-        moved = ", ".join(f"{x:.4g}" for x in placed.t)
+        moved = ", ".join(number(x, 4) for x in placed.t)
         hand = ", mirrored" if placed.mirrored else ""
         yield (
-            f"  piece {number + 1}  {placed.derived_fraction:.0%} of the asset, {len(piece.rows[0]):,} Gaussians of the"
-            f" suspect, z = {piece.z:.1f}, scale {placed.scale:.4g}, moved by ({moved}){hand}"
+            f"  piece {count}  {placed.derived_fraction:.0%} of the asset, {len(piece.rows[0]):,} Gaussians of the"
+            f" suspect, z = {piece.z:.1f}, scale {number(placed.scale, 4)}, moved by ({moved}){hand}"
         )
     if not report.claimed:
         yield "  The claim is not made: regions are no proof by themselves."

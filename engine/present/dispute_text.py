@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Template
 
 from engine.present.html_pages import templates
-from engine.present.numerals import TYPOGRAPHIC, Form, percent, when
+from engine.present.numerals import TYPOGRAPHIC, Form, number, percent, when
 
 __all__ = ["DEEDS", "DisputeWords", "dispute_page", "dispute_words"]
 
@@ -132,10 +132,10 @@ def _place(look: Mapping[str, Any]) -> str:
 def _answer(look: Mapping[str, Any], form: Form) -> str:
     odds = form.odds(look["log10_false_claim"])
     if look["marked"]:
-        return f"found (z {look['z']:.3g}, required {look['z_threshold']:.3g}; false-claim probability {odds})"
+        return f"found (z {number(look['z'])}, required {number(look['z_threshold'])}; false-claim probability {odds})"
     share = look["derivation"]["share"] or 0.0
     found = f"; {percent(share)} of this party's asset is in it" if look["derivation"]["derived"] and share else ""
-    return f"not found (z {look['z']:.3g}, required {look['z_threshold']:.3g}){found}"
+    return f"not found (z {number(look['z'])}, required {number(look['z_threshold'])}){found}"
 
 
 def _date(date: Mapping[str, str]) -> str:

@@ -44,6 +44,15 @@ class Form:
 PLAIN, TYPOGRAPHIC = Form(raised=False), Form(raised=True)
 
 
+def number(value: float, digits: int = 3) -> str:
+    """A number rounded to so many significant digits and written without an exponent: 1230, 0.000012."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value + 0.0:.0f}"  # -0.0, too
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    text = f"{round(value, places):.{max(0, places)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
 def percent(share: float) -> str:
     """A share in percent that says 100 % only of the whole."""
     if 0.999 <= share < 1.0:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from engine.present.numerals import Form, percent, surely, when
+from engine.present.numerals import Form, number, percent, surely, when
 from engine.watermark.claim import SCATTERED
 from engine.watermark.rates import BASES, conditions_of
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
@@ -157,7 +157,7 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
     if claim["message"] is not None:
         tried = f"corrected for {claim['tries']:,} {'hypothesis' if claim['tries'] == 1 else 'hypotheses'}"
         odds, needed = form.odds(claim["log10_false_claim"]), _needed(claim, form)
-        found.append(Fact("false claim", f"{odds} (z {claim['z']:.3g}), {tried}; required: {needed}", leading=True))
+        found.append(Fact("false claim", f"{odds} (z {number(claim['z'])}), {tried}; required: {needed}", leading=True))
         bits = f"{claim['message']}: {claim['matching_bits']}/{claim['bits']} bits match; {_sureness(claim)}"
         none = why_no_bits(claim)
         found.append(Fact("message read", f"none: {none}" if none else bits, leading=True))
@@ -192,8 +192,8 @@ def _copy(claim: Mapping[str, Any], form: Form) -> str:
     if claim["verdict"] != "marked" or claim.get("copy_named") is None:
         return f"the record is of the copy {made}"
     if claim["copy_named"]:
-        return f"{made} (z {claim['copy_z']:.3g})"
-    return f"not shown to be the copy {made} (z {claim['copy_z']:.3g}); tracing tests all copies"
+        return f"{made} (z {number(claim['copy_z'])})"
+    return f"not shown to be the copy {made} (z {number(claim['copy_z'])}); tracing tests all copies"
 
 
 def _change(change: float | None) -> str:
@@ -223,7 +223,7 @@ def _moved(transform: Mapping[str, Any]) -> str:
     if turn >= 0.05:
         parts.append(f"rotated by {turn:.1f} degrees")
     if abs(scale - 1.0) >= 5e-4:
-        parts.append(f"scaled by {scale:.4g}")
+        parts.append(f"scaled by {number(scale, 4)}")
     return ", ".join(parts) or "not rotated, not scaled"
 
 
@@ -249,10 +249,10 @@ def derivation_text(derivation: Mapping[str, Any]) -> str:
         text += (
             ", positions equal to rounding"
             if gap < TO_ROUNDING
-            else f", median displacement {gap:.2g} of a Gaussian's size"
+            else f", median displacement {number(gap, 2)} of a Gaussian's size"
         )
     if (where := derivation["where"]) is not None:
-        low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in where)
+        low, high = (", ".join(map(number, corner)) for corner in where)
         text += f", in the box from ({low}) to ({high})"
     return text
 

@@ -11,13 +11,15 @@ from service.acquisitions.archive import MEDIA_TYPE
 from service.acquisitions.fetching import fetch
 from service.claims.schema import Url
 from service.core import Service
-from service.db import missing, own, page
+from service.db import missing, own
 from service.db.schema import acquisitions
-from service.http.access import Admin, After, Core, Limit, Reader, Verifier, may
+from service.http import idempotency
+from service.http.access import Admin, After, Core, Limit, Listed, Reader, Verifier, may
 from service.http.budgets import spend
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.file_responses import Want, file_responses, send_blob
 from service.http.forms import RequestBody
+from service.http.job_responses import RetryKey
 from service.http.results import Time
 from service.trust.api_keys import Caller
 from service.trust.commitments import forget
@@ -70,11 +72,8 @@ class MadeAcquisition(Acquisition):
     timestamp_failure: str = Field("", description="Why there is no time stamp; empty where there is one.")
 
 
-class AcquisitionList(BaseModel):
+class AcquisitionList(Listed[Acquisition]):
     """A page of acquisitions, newest first."""
-
-    items: list[Acquisition]
-    next: str | None
 
 
 @router.post(
@@ -86,38 +85,57 @@ class AcquisitionList(BaseModel):
         *("budget-exceeded", "not-fetched"),
     ),
 )
-async def acquire(body: NewAcquisition, core: Core, caller: Verifier, response: Response) -> MadeAcquisition:
+async def acquire(
+    body: NewAcquisition, core: Core, caller: Verifier, response: Response, idempotency_key: RetryKey = None
+) -> MadeAcquisition:
     """Fetch a suspect from its address, or take an upload, and preserve it unchanged: bytes, headers, certificates of
     the server and time in a WARC file (ISO 28500), logged and time-stamped.
 
     A verification of the same bytes may name it (`acquisition_id`). This service states what the address answered; a
-    time stamp, where there is one, attests that the bytes existed by then.
+    time stamp, where there is one, attests that the bytes existed by then. A request that is sent again with its
+    Idempotency-Key is answered with what the first one made.
     """
-    limit = core.settings.acquisitions_per_hour
-    what = "acquisitions of this API key"
-    await asyncio.to_thread(spend, core.db, f"acquire:{caller.key_id}", limit, 1, what)
-    if body.url is None:
-        row, failure = await asyncio.to_thread(registry.keep_upload, core, caller, body.upload_id or "")
+    if idempotency_key is None:
+        row, failure = await _acquired(core, caller, body)
     else:
-        row, failure = await _fetched(core, caller, str(body.url))
+        row, failure = await _acquired_once(core, caller, body, idempotency_key)
     response.headers["Location"] = f"/v1/acquisitions/{row.id}"
     return MadeAcquisition.model_validate(row._asdict() | {"timestamp_failure": failure})
 
 
-async def _fetched(core: Service, caller: Caller, url: str) -> tuple[Any, str]:
-    limits = core.settings
+async def _acquired_once(core: Service, caller: Caller, body: NewAcquisition, key: str) -> tuple[Any, str]:
+    request = {"acquire": body.model_dump(mode="json")}
+    hours = core.settings.acquire_seconds / 3600 + idempotency.IN_FLIGHT_HOURS  # the address may take all its time
+    first = await asyncio.to_thread(idempotency.begin, core.db, caller, key, request, hours)
+    if first is not None:
+        row = await asyncio.to_thread(own, core.db, acquisitions, caller.tenant, first)
+        return row, "" if row.timestamp is not None else "the first request with this Idempotency-Key got none"
+    try:
+        row, failure = await _acquired(core, caller, body)
+    except BaseException:
+        await asyncio.to_thread(idempotency.release, core.db, caller, key)
+        raise
+    await asyncio.to_thread(idempotency.settle, core.db, caller, key, row.id)
+    return row, failure
+
+
+async def _acquired(core: Service, caller: Caller, body: NewAcquisition) -> tuple[Any, str]:
+    limit = core.settings.acquisitions_per_hour
+    what = "acquisitions of this API key"
+    await asyncio.to_thread(spend, core.db, f"acquire:{caller.key_id}", limit, 1, what)
+    if body.url is None:
+        return await asyncio.to_thread(registry.keep_upload, core, caller, body.upload_id or "")
+    url, limits = str(body.url), core.settings
     most = min(limits.max_upload_bytes, await asyncio.to_thread(store.left, core, caller.tenant))
-    with core.blobs.new_file() as body:
-        exchanges, got = await fetch(url, body, most, limits.acquire_seconds, private=limits.acquisitions_private)
-        return await asyncio.to_thread(registry.keep_fetched, core, caller, url, body, got, exchanges)
+    with core.blobs.new_file() as file:
+        exchanges, got = await fetch(url, file, most, limits.acquire_seconds, private=limits.acquisitions_private)
+        return await asyncio.to_thread(registry.keep_fetched, core, caller, url, file, got, exchanges)
 
 
 @router.get("", operation_id="listAcquisitions", responses=OF_LIST)
 def list_acquisitions(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> AcquisitionList:
     """Acquisitions of this tenant, newest first."""
-    with core.db.read() as connection:
-        rows, following = page(connection, acquisitions, caller.tenant, limit, after)
-    return AcquisitionList(items=[Acquisition.model_validate(row) for row in rows], next=following)
+    return AcquisitionList.of(core, acquisitions, caller.tenant, limit, after)
 
 
 @router.get("/{acquisition_id}", operation_id="getAcquisition", responses=OF_OWN)

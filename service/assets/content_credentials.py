@@ -74,7 +74,7 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
         return bare
     if made is None:  # the asset was deleted meanwhile
         return bare
-    address = f"{service.settings.public_url.rstrip('/')}/v1/manifests/{made.id}"
+    address = f"{service.public_url()}/v1/manifests/{made.id}"
     return Delivery(made.file_sha256, {"Link": f'<{address}>; rel="c2pa-manifest"'})
 
 

@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.assets.attested import attested_record
 from service.assets.content_credentials import delivered, forget_manifests
 from service.assets.conversions import converted, drop
-from service.db import holding, own, page
+from service.db import holding, own
 from service.db.schema import assets
-from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, Words, visible
+from service.http.access import Admin, After, Core, Follower, Limit, Listed, OriginalsReader, Reader, Words, visible
 from service.http.error_responses import OF_LIST, OF_OWN
 from service.http.file_responses import MODEL_TYPE, Want, file_responses, send_blob
 from service.http.forms import FROM_JSON
@@ -44,11 +44,8 @@ class Asset(BaseModel):
     report: Annotated[dict[str, Any], FROM_JSON] = Field(description="Measurements of the embedding.")
 
 
-class AssetList(BaseModel):
+class AssetList(Listed[Asset]):
     """A page of assets, newest first."""
-
-    items: list[Asset]
-    next: str | None
 
 
 @router.get("", operation_id="listAssets", responses=OF_LIST)
@@ -63,9 +60,7 @@ def list_assets(
     """Assets of this tenant, newest first."""
     where = holding(q, *(assets.c[name] for name in ("label", "copy", "id", "record_id")))
     where = where if original is None else where & (assets.c.original_sha256 == original)
-    with core.db.read() as connection:
-        rows, following = page(connection, assets, caller.tenant, limit, after, "registered_at", where)
-    return AssetList(items=[Asset.model_validate(row) for row in rows], next=following)
+    return AssetList.of(core, assets, caller.tenant, limit, after, time="registered_at", where=where)
 
 
 @router.get("/{asset_id}", operation_id="getAsset", responses=OF_OWN)

@@ -13,7 +13,7 @@ from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, repor
 from service.claims.schema import OwnerStatement
 from service.db import holding, page
 from service.db.schema import assets, claims
-from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Reader, Words, visible
+from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Listed, Reader, Words, visible
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.results import Time
 from service.trust.commitments import forget
@@ -40,11 +40,8 @@ class ClaimSummary(BaseModel):
     created_at: Time
 
 
-class ClaimList(BaseModel):
+class ClaimList(Listed[ClaimSummary]):
     """A page of claims, newest first."""
-
-    items: list[ClaimSummary]
-    next: str | None
 
 
 class KeySet(BaseModel):

@@ -41,6 +41,7 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
 
     Returns the job's result.
     """
+    issuer = {"name": service.settings.issuer_name, "address": service.public_url()}
     files = [job.request["model"]] if job.request["model"] else list(job.request["images"])
     with service.db.write() as connection:
         claim = issue_claim(
@@ -55,7 +56,7 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
                 names=job.request.get("names", ()),  # jobs of earlier versions have none
                 acquisition=job.request.get("acquisition_id"),
             ),
-            issuer={"name": service.settings.issuer_name, "address": service.settings.public_url},
+            issuer=issuer,
         )
     result: dict[str, Any] = {
         **document_reading(claim.document),

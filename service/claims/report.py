@@ -28,7 +28,7 @@ CAPTIONS = {
     "suspect": "The suspect.",
     "asset": "The registered model as it was delivered, with its mark.",
     "reference": "The registered original, without the mark.",  # in claims of before; no pack holds it
-    "difference": "Suspect less registered model, five times as large, about grey; white was not compared.",
+    "difference": "Suspect minus registered model, five times as large, on grey; white was not compared.",
     "heatmap": (
         "Where on the registered model the mark was found, by region: orange carries it; blue is there without it; grey"
         " was seen, but says too little; hatched was not seen. The legend says how many orange regions may be wrong. No"

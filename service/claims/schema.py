@@ -4,6 +4,7 @@ sentences, and rested 1 in 10^9 on dates and on what the service drew by itself.
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -23,6 +24,16 @@ DRAWN_BY_STAMP = 4
 
 Hex64 = Field(pattern=r"^[0-9a-f]{64}$")
 Share = Field(ge=0.0, le=1.0)
+
+
+def _moment(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("a time names its offset from UTC")
+    return text
+
+
+Moment = Annotated[str, AfterValidator(_moment), Field(json_schema_extra={"format": "date-time"})]
+"""A time, ISO 8601 with its offset."""
 Layer = Literal[
     "tint",
     "grain",
@@ -265,7 +276,7 @@ class ClaimDocument(_Part):
 
     schema_version: Literal[1, 2, 3, 4]
     claim_id: str
-    created_at: str
+    created_at: Moment
     tool: Tool
     issuer: Issuer | None = None
     owner: Owner | None = None

@@ -42,7 +42,7 @@ class MadeShare(Share):
     """A share just made."""
 
     url: str = Field(
-        description="Link to send; a path alone where the operator set no MARK3DGS_PUBLIC_URL. It is shown only once;"
+        description="Link to send; a path alone where the service has no public address. It is shown only once;"
         " everyone who has it can read the report."
     )
 
@@ -71,7 +71,7 @@ def share_claim(
     """
     token, row = shares.share(core, caller, visible(core, caller, schema.claims, claim_id), body.days)
     response.headers["Cache-Control"] = "no-store"
-    return MadeShare.model_validate(row._asdict() | {"url": f"{core.settings.public_url.rstrip('/')}/shared/{token}"})
+    return MadeShare.model_validate(row._asdict() | {"url": f"{core.public_url()}/shared/{token}"})
 
 
 @router.get("/v1/claims/{claim_id}/shares", operation_id="listShares", responses=OF_OWN)

@@ -164,10 +164,10 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
             )
         _hand_over(console, token, settings.data_dir / "admin.key")
         console.note(
-            f"  your name    is {FIRST_TENANT!r} in claims: mark3dgs tenant {FIRST_TENANT} 'WHAT PEOPLE CALL YOU'"
+            f"  your name    is {FIRST_TENANT!r} in claims: enter it on the page, or mark3dgs tenant {FIRST_TENANT} ..."
         )
         if not settings.public_url:
-            console.note("  address      none in claims: set MARK3DGS_PUBLIC_URL before you hand one out")
+            console.note("  address      none in claims and links: enter it on the page, or set MARK3DGS_PUBLIC_URL")
     return settings, service
 
 

@@ -281,6 +281,8 @@ class Me:
     name: str  # display name of the tenant
     key: Mapping[str, Any]  # id, label, scopes, prefix
     limits: Mapping[str, Mapping[str, int]]  # name: used, most
+    is_named: bool = True  # whether a display name was entered
+    service: Mapping[str, Any] = field(default_factory=dict)  # public_url, may_set_public_url, parts
 
 
 def embedded(job: Job) -> Embedded:

@@ -134,7 +134,7 @@ def submit_embed(
     named: dict[str, object] = {"upload_id": (yield from upload(model, progress=progress)).id}
     if cameras is not None:
         named["cameras_upload_id"] = (yield from upload(cameras)).id
-    return (yield from _submit("/v1/embed", {**named, **options}))
+    return read(Job, (yield from _once("/v1/embed", {**named, **options})))
 
 
 def submit_verify(
@@ -153,14 +153,13 @@ def submit_verify(
     named: dict[str, object] = {"upload_id": ids[0]} if len(ids) == 1 and kind == "model" else {"image_upload_ids": ids}
     if cameras is not None:
         named["cameras_upload_id"] = (yield from upload(cameras)).id
-    return (yield from _submit("/v1/verify", {**named, **options}))
+    return read(Job, (yield from _once("/v1/verify", {**named, **options})))
 
 
-def _submit(path: str, body: Mapping[str, object]) -> Flow[Job]:
-    # The service knows the key again: a request whose answer was lost becomes one job, not two.
+def _once(path: str, body: Mapping[str, object]) -> Flow[Any]:
+    # The service knows the key again: a request whose answer was lost is done once, not twice.
     headers = {"Idempotency-Key": secrets.token_hex(16)}
-    reply = yield from ask(Request("POST", path, headers=headers, json=body, again=True))
-    return read(Job, reply.json())
+    return (yield from ask(Request("POST", path, headers=headers, json=body, again=True))).json()
 
 
 def job(job_id: str) -> Flow[Job]:
@@ -278,7 +277,7 @@ def acquire(source: Source, *, progress: Progress = silent) -> Flow[Acquisition]
         body = {"url": source}
     else:
         body = {"upload_id": (yield from upload(source, progress=progress)).id}
-    return read(Acquisition, (yield from call("POST", "/v1/acquisitions", json=body)))
+    return read(Acquisition, (yield from _once("/v1/acquisitions", body)))
 
 
 def acquisition(acquisition_id: str) -> Flow[Acquisition]:

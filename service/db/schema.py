@@ -76,7 +76,7 @@ idempotency = Table(
     metadata,
     *_key("tenant", "key"),  # key: id of the API key, and what its client drew
     *_texts("body_hash"),
-    *_texts("job", null=True),  # NULL while the first request is in flight
+    *_texts("job", null=True),  # or acquisition; NULL while the first request is in flight
     *_texts("created_at", index=True),
 )
 

@@ -7,7 +7,7 @@ whether another tenant's asset exists.
 import asyncio
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Response
@@ -21,6 +21,7 @@ from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
 from service.http.forms import RequestBody
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
+from service.http.results import DisputeResult
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.trust import audit
@@ -39,13 +40,6 @@ class DisputeRequest(RequestBody):
     model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
     asset_a: AssetId
     asset_b: AssetId
-
-
-class DisputeResult(TypedDict):
-    """The result of a dispute's job."""
-
-    document: dict[str, Any]
-    jws: str
 
 
 class Settled(BaseModel):

@@ -4,22 +4,18 @@ from typing import Annotated
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Query
-from pydantic import BaseModel
 
 from service.db import page
 from service.db.schema import notices
-from service.http.access import NO_ZERO, After, Core, Limit, Reader
+from service.http.access import NO_ZERO, After, Core, Limit, Listed, Reader
 from service.http.error_responses import OF_LIST
 from service.http.results import Notice, notice_of
 
 router = APIRouter(prefix="/v1/notices", tags=["notices"])
 
 
-class NoticeList(BaseModel):
+class NoticeList(Listed[Notice]):
     """A page of notices, newest first."""
-
-    items: list[Notice]
-    next: str | None
 
 
 @router.get("", operation_id="listNotices", responses=OF_LIST)

@@ -1,14 +1,15 @@
 """What handlers get: the service, the caller (and whether it may), and the page of a list."""
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, Self, TypeVar
 
 import sqlalchemy as sa
 from fastapi import Depends, Query, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from pydantic import BaseModel
 
 from service.core import Service
-from service.db import missing, own
+from service.db import missing, own, page
 from service.db.schema import jobs
 from service.problems import Problem
 from service.trust.api_keys import OPERATOR, Caller, check
@@ -83,3 +84,19 @@ NO_ZERO = r"^[^\x00]*$"
 Words = Annotated[str, Query(max_length=200, pattern=NO_ZERO)]
 """What is looked for in a list."""
 After = Annotated[str, Query(max_length=64, description="`next` of the page before.")]
+
+T = TypeVar("T")
+
+
+class Listed(BaseModel, Generic[T]):
+    """A page of a list."""
+
+    items: list[T]
+    next: str | None
+
+    @classmethod
+    def of(cls, core: Service, table: sa.Table, tenant: str, limit: int, after: str, **narrowed: Any) -> Self:
+        """The page of a table's rows that follows the cursor `after`; `narrowed`: see `service.db.page`."""
+        with core.db.read() as connection:
+            rows, following = page(connection, table, tenant, limit, after, **narrowed)
+        return cls.model_validate({"items": rows, "next": following})

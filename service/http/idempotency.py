@@ -19,8 +19,10 @@ IN_FLIGHT_HOURS = 1 / 60
 KEPT_HOURS = 24.0
 
 
-def begin(db: Database, caller: Caller, key: str, body: Mapping[str, Any]) -> str | None:
-    """Job of the first request with this key, or None for the first itself.
+def begin(
+    db: Database, caller: Caller, key: str, body: Mapping[str, Any], in_flight_hours: float = IN_FLIGHT_HOURS
+) -> str | None:
+    """Id of what the first request with this key made, such as a job, or None for the first itself.
 
     idempotency-mismatch for another body, request-in-flight while the first is still being answered.
     """
@@ -36,20 +38,20 @@ def begin(db: Database, caller: Caller, key: str, body: Mapping[str, Any]) -> st
             raise Problem("idempotency-mismatch", f"Idempotency-Key {key!r} came with another body before")
         if row.job is not None:
             return str(row.job)
-        if row.created_at > ago(IN_FLIGHT_HOURS):
+        if row.created_at > ago(in_flight_hours):
             text = f"the first request with Idempotency-Key {key!r} is not answered yet"
             raise Problem("request-in-flight", text, headers={"Retry-After": "1"})
         connection.execute(sa.update(idempotency).where(mine).values(created_at=now()))
         return None
 
 
-def settle(db: Database, caller: Caller, key: str, job: str) -> None:
-    """The first request has its job."""
-    db.change(sa.update(idempotency).where(_mine(caller, key)).values(job=job))
+def settle(db: Database, caller: Caller, key: str, made: str) -> None:
+    """The first request made what it is for."""
+    db.change(sa.update(idempotency).where(_mine(caller, key)).values(job=made))
 
 
 def release(db: Database, caller: Caller, key: str) -> None:
-    """The first request failed before it had a job: the key is free again."""
+    """The first request failed before it made anything: the key is free again."""
     db.change(sa.delete(idempotency).where(_mine(caller, key) & idempotency.c.job.is_(None)))
 
 

@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
-from service.db import page, schema
+from service.db import schema
 from service.db.schema import assets
-from service.http.access import Admin, After, Core, Limit, Reader
+from service.http.access import Admin, After, Core, Limit, Listed, Reader
 from service.http.error_responses import OF_LIST, responses
 from service.http.forms import RequestBody
 from service.http.results import Time
@@ -56,11 +56,8 @@ class MadeKey(KeyView):
     key: str | None = Field(description="Text of the key file, if requested. It is never shown again.")
 
 
-class KeyList(BaseModel):
+class KeyList(Listed[KeyView]):
     """A page of keys, newest first."""
-
-    items: list[KeyView]
-    next: str | None
 
 
 @router.post(
@@ -80,10 +77,8 @@ def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> M
 @router.get("", operation_id="listKeys", responses=OF_LIST)
 def list_keys(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> KeyList:
     """Owner keys of this tenant, newest first."""
-    with core.db.read() as connection:
-        present = schema.owner_keys.c.deleted_at.is_(None)
-        rows, following = page(connection, schema.owner_keys, caller.tenant, limit, after, where=present)
-    return KeyList(items=[KeyView.model_validate(row) for row in rows], next=following)
+    present = schema.owner_keys.c.deleted_at.is_(None)
+    return KeyList.of(core, schema.owner_keys, caller.tenant, limit, after, where=present)
 
 
 @router.delete(

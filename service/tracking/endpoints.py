@@ -6,11 +6,10 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel
 
 from service.db import missing
 from service.db.schema import jobs
-from service.http.access import After, Core, Follower, Limit, Reader, Uploader, visible
+from service.http.access import After, Core, Follower, Limit, Listed, Reader, Uploader, visible
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.file_responses import tags
 from service.http.job_responses import JobView, view, views
@@ -23,11 +22,8 @@ POLL_SECONDS = 0.2
 KEEP_ALIVE_SECONDS = 10.0
 
 
-class JobList(BaseModel):
+class JobList(Listed[JobView]):
     """A page of jobs, newest first."""
-
-    items: list[JobView]
-    next: str | None
 
 
 @router.get("", operation_id="listJobs", responses=OF_LIST)

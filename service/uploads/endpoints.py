@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from service.db import page
 from service.db.schema import uploads
-from service.http.access import After, Core, Limit, Uploader
+from service.http.access import After, Core, Limit, Listed, Uploader
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE, RequestBody
 from service.http.results import FileInfo, Time
@@ -49,11 +48,8 @@ class Upload(BaseModel):
     created_at: Time
 
 
-class UploadList(BaseModel):
+class UploadList(Listed[Upload]):
     """A page of uploads, newest first."""
-
-    items: list[Upload]
-    next: str | None
 
 
 @router.post(
@@ -72,9 +68,7 @@ def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Respo
 @router.get("", operation_id="listUploads", responses=OF_LIST)
 def list_uploads(core: Core, caller: Uploader, limit: Limit = 20, after: After = "") -> UploadList:
     """Uploads of this API key (for `admin`: of the tenant) that are still here, newest first."""
-    with core.db.read() as connection:
-        rows, following = page(connection, uploads, caller.tenant, limit, after, where=store.of(caller))
-    return UploadList(items=[Upload.model_validate(row) for row in rows], next=following)
+    return UploadList.of(core, uploads, caller.tenant, limit, after, where=store.of(caller))
 
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)

@@ -56,7 +56,7 @@ class VerifyRequest(RequestBody):
         gt=0,
         le=MOST_RATE,
         description="Largest acceptable chance of a false claim; counts only where it is stricter than what applies:"
-        " 1e-9 where the registration is attested, else 2^-128.",
+        " 1e-9 where a time-stamping service drew a part of the mark, else 2^-128.",
     )
     suspect_seen: Annotated[date, Field(description="Since when the suspect is known."), _DAY] | None = None
     acquisition_id: str | None = Field(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from engine.formats.image_files import read_picture
 from tests.end_to_end.conftest import SCENE, Marked
 
 EMBED_KEYS = {
@@ -129,6 +130,8 @@ def test_usual_suspects_are_verified_without_slow_imports(marked: Marked, capsys
     moved, picture = tmp_path / "moved.ply", tmp_path / "picture.png"
     assert marked.ask(capsys, "attack", "similarity", marked.model, moved, "--strength", "4")[0] == 0
     assert marked.ask(capsys, "render", marked.model, picture)[0] == 0
+    drawn = read_picture(picture)
+    assert max(drawn[0].max(), drawn[-1].max()) < 0.1, "the plant is cut off above or below"
     for suspect in (moved, picture):
         command = [sys.executable, "-c", VERIFYING, str(suspect), str(marked.key), str(marked.record)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

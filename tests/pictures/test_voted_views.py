@@ -5,9 +5,9 @@ import pytest
 
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.model import Camera, Float64
+from engine.model import Camera, Float64, look_at
 from engine.pictures.camera import keypoint_cameras
-from engine.pictures.camera.camera_motion import moved, project
+from engine.pictures.camera.camera_motion import moved, project, swung
 from engine.pictures.camera.camera_search import find_camera
 from engine.pictures.camera.pose_ransac import Hypothesis
 from engine.pictures.camera.voted_views import vote_for_views
@@ -101,3 +101,16 @@ def test_landmarks_that_agree_on_a_camera_a_little_off_are_looked_at_closer(monk
     found = find_camera(landmarks, plant, picture)
     assert found is not None
     assert found.inliers > 100
+
+
+@pytest.mark.parametrize(("turn", "scale"), [(0.0, 1.0), (0.5, 1.4), (-2.0, 0.8)])
+def test_a_camera_swung_round_shows_the_middle_at_its_place(turn: float, scale: float) -> None:
+    view = look_at((0, 0, -4), (0, 0, 0), (0, 1, 0), 40.0, 60, 40)
+    middle, place = np.array([40.0, 12.0]), np.array([15.0, 33.0])
+    seen = np.linalg.inv(view.viewmat) @ [*((middle - view.K[:2, 2]) / view.K[0, 0] * 5.0), 5.0, 1.0]
+    swung_round = swung(view, middle, place, turn, scale, (48, 36))
+    x, y, depth = (swung_round.viewmat @ seen)[:3]
+    shown = swung_round.K @ [x / depth, y / depth, 1.0]
+    assert shown[:2] == pytest.approx(place, abs=1e-6)
+    assert np.linalg.norm(swung_round.position - view.position) < 1e-9, "it turns where it stands"
+    assert swung_round.K[0, 0] == pytest.approx(scale * 40.0)

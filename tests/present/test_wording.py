@@ -4,7 +4,7 @@ import pytest
 
 from engine.errors import MalformedRecordError, WrongKeyError
 from engine.present.checks import CHECKS, checks_of, named
-from engine.present.numerals import PLAIN, TYPOGRAPHIC, percent, surely, when
+from engine.present.numerals import PLAIN, TYPOGRAPHIC, number, percent, surely, when
 from engine.present.wording import Words, words_of
 from engine.watermark.rates import BASES, OWNER, Condition, ConditionKind
 
@@ -77,6 +77,27 @@ def test_rates_in_words() -> None:
 )
 def test_only_the_whole_is_a_hundred_percent(share: float, text: str) -> None:
     assert percent(share) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (0.0, 3, "0"),
+        (-0.0, 3, "0"),
+        (53.08, 3, "53.1"),
+        (577.4, 3, "577"),
+        (1234.5, 3, "1230"),
+        (-48786.2, 4, "-48790"),
+        (9.996, 3, "10"),
+        (0.00135, 3, "0.00135"),
+        (-1.2e-7, 3, "-0.00000012"),
+        (1.0, 4, "1"),
+        (100.0, 2, "100"),
+        (float("inf"), 3, "inf"),
+    ],
+)
+def test_numbers_have_no_exponent(value: float, digits: int, text: str) -> None:
+    assert number(value, digits) == text
 
 
 def test_nothing_measured_is_certain() -> None:

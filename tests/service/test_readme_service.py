@@ -1,4 +1,5 @@
-"""The service's commands of docs/GUIDE.md, run as written against a running service, give answers of that form."""
+"""Commands and programs of README.md, GUIDE.md and SERVICE.md, run as written against a running service, give
+answers of the form that is shown."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ def test_commands_run_as_written(tmp_path: Path) -> None:
     answers: dict[str, str] = {}
     try:
         blocks = [b for b in BLOCK.finditer((ROOT / "docs" / "GUIDE.md").read_text()) if "curl" in b["commands"]]
-        assert len(blocks) == 3
+        assert len(blocks) == 5
         for block in blocks:
             commands = block["commands"].replace("http://127.0.0.1:8000", served.address)
             commands = commands.replace("mk_...", served.api_key)
@@ -61,19 +62,25 @@ def test_commands_run_as_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_the_client_on_the_page_runs_as_written(tmp_path: Path) -> None:
-    program = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "SERVICE.md").read_text(), re.DOTALL)[0]
+def test_the_clients_of_the_pages_run_as_written(tmp_path: Path) -> None:
+    pages = {"README.md": "py", "docs/SERVICE.md": "python"}
+    program = "".join(
+        re.findall(rf"```{kind}\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)[0] for page, kind in pages.items()
+    )
     served = serving.start(tmp_path)
     (tmp_path / "tests").symlink_to(ROOT / "tests")
     path = f"{ROOT}{os.pathsep}{ROOT / 'service' / 'installed'}"
     environment = os.environ | {"MARK3DGS_API_KEY": served.api_key, "PYTHONPATH": path}
-    command = [sys.executable, "-c", program.replace("http://127.0.0.1:8000", served.address)]
+    program = program.replace("http://127.0.0.1:8000", served.address).replace("mk_...", served.api_key)
+    command = [sys.executable, "-c", program]
     try:
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     finally:
         served.stop()
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("marked -")
+    first, second, _ = done.stdout.splitlines()
+    assert re.fullmatch(r"Watermark found Bits\(string='[01]{32}', hex='[0-9a-f]{8}'\) \d+\.\d+", first), first
+    assert second.startswith("marked -")
     assert done.stdout.endswith("not-found\n")
     assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")
 

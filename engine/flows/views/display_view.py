@@ -32,10 +32,10 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
         image = np.clip(render(thin, small, 0.5), 0.0, 1.0)
         filled = (np.abs(image - 0.5).max(axis=2) > 0.02).mean()
         scores.append(float(filled) + float(image.std()))
-    return _whole(thin, rig[int(np.argmax(scores))])
+    return with_all(thin, rig[int(np.argmax(scores))])
 
 
-def _whole(model: GaussianModel, camera: Camera) -> Camera:
+def with_all(model: GaussianModel, camera: Camera) -> Camera:
     """The camera with a focal length at which it shows all of an object; of a room it is left as it is."""
     seen = model.means[model.opacity_logits > _CONFIG.faint].astype(np.float64)
     x, y, z = (seen @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T

@@ -13,13 +13,14 @@ from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.options import Json
 from engine.errors import InputError
+from engine.present.numerals import PLAIN
 from engine.usecases.files import whole_file
 
 if TYPE_CHECKING:
     from engine.lab.sim.scenario import Run, StepResult
     from engine.lab.sim.scenario.state import Finding
 
-COLUMNS = f"{'step':<44} {'object':<14} {'verdict':<12} {'bits':>7} {'z':>7} {'false claim':>11} {'PSNR':>6}"
+COLUMNS = f"{'step':<44} {'object':<14} {'verdict':<12} {'bits':>7} {'z':>7} {'false claim':<21} {'PSNR':>6}"
 
 
 def _list_steps(console: Console) -> int:
@@ -91,15 +92,10 @@ def table_lines(result: StepResult) -> list[str]:
         cost = found.psnr_cost
         lines.append(
             f"{result.label[:44] if k == 0 else '':<44} {found.object[:14]:<14} {found.verdict:<12}"
-            f" {found.matching_bits:>3}/{found.bits:<3} {found.z:>7.1f} {bound(found.log10_false_claim):>11}"
+            f" {found.matching_bits:>3}/{found.bits:<3} {found.z:>7.1f} {PLAIN.odds(found.log10_false_claim):<21}"
             f" {'' if cost is None or not math.isfinite(cost) else f'{cost:.1f}':>6}"
         )
     return lines or [f"{result.label[:44]:<44} (no marked object)"]
-
-
-def bound(log10: float) -> str:
-    """A bound as a power of ten, rounded so that nothing is overstated."""
-    return f"1e{math.ceil(log10)}" if log10 < 0 else "1"
 
 
 def cost_text(found: Finding) -> str:
@@ -163,7 +159,7 @@ def _markdown(run: Run) -> str:
         "",
         "Reading is informed: it uses the owner's record, which holds the unmarked original.",
         "",
-        "| step | object | verdict | bits | z | chance of a false claim, at most | cost to the look | seconds |",
+        "| step | object | verdict | bits | z | chance of a false claim | cost to the look | seconds |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for result in run.results:
@@ -171,7 +167,7 @@ def _markdown(run: Run) -> str:
             lines.append(
                 f"| {result.label} | {found.object} | {found.verdict.replace('_', ' ')}"
                 f" | {found.matching_bits} of {found.bits} | {found.z:.1f}"
-                f" | {bound(found.log10_false_claim)} | {cost_text(found)} | {found.seconds:.1f} |"
+                f" | {PLAIN.odds(found.log10_false_claim)} | {cost_text(found)} | {found.seconds:.1f} |"
             )
     lines += [""] + [f"- {result.label}: {note}" for result in run.results for note in result.notes]
     lines += ["", "![film](film.webp)", ""] if run.frames else [""]

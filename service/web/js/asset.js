@@ -3,6 +3,7 @@ import { download, getBlob } from "./api.js";
 import { copyable } from "./copy.js";
 import { fact, h } from "./dom.js";
 import { problemBox } from "./problem.js";
+import { may } from "./session.js";
 import { Viewer } from "./viewer.js";
 import { count, fileStem, when } from "./words.js";
 
@@ -11,9 +12,9 @@ const HEAVY = 1_500_000; // Gaussians; two of those are loaded on request only
 
 /** View of an asset: {element, heading, opened(), destroy()}; of one just made, `made` is the result of its job. */
 export function assetView(asset, { title, made = {}, again } = {}) {
-  const name = asset.label || `${asset.original_format} model`;
+  const name = asset.label || asset.id;
   const heading = h("h1", { tabindex: "-1" }, title ? `${title}: ${name}` : name);
-  const viewer = new Viewer(asset);
+  const viewer = may("originals") ? new Viewer(asset) : null; // it shows the original, too
   const preview = h("figure", { class: "preview" });
   const { report } = asset;
   const element = h("div", { class: "result" },
@@ -31,7 +32,7 @@ export function assetView(asset, { title, made = {}, again } = {}) {
       fact("Recipient", asset.copy_name || "none"),
       fact("Registered", when(asset.registered_at), h("small", {}, "attested by the log of this service"))),
     files(asset),
-    h("h2", {}, "Original and marked"), viewer.element,
+    viewer ? [h("h2", {}, "Original and marked"), viewer.element] : null,
     h("h2", {}, "Preview"), preview,
     h("h2", {}, "IDs and digests"),
     h("dl", { class: "facts texts" },
@@ -44,10 +45,10 @@ export function assetView(asset, { title, made = {}, again } = {}) {
     element,
     heading,
     opened: () => {
-      openViewer(viewer, asset);
+      if (viewer) openViewer(viewer, asset);
       showPreview(preview, asset);
     },
-    destroy: () => viewer.destroy(),
+    destroy: () => viewer?.destroy(),
   };
 }
 
@@ -84,7 +85,7 @@ function files(asset) {
   const stem = `${fileStem(asset)}-marked`;
   model.addEventListener("click", get(model, () => `/v1/assets/${asset.id}/model?format=${format.value}`, () => `${stem}.${format.value}`));
   record.addEventListener("click", get(record, () => `/v1/assets/${asset.id}/record`, () => `${stem}.record`));
-  return h("div", { class: "files" }, h("div", { class: "row" }, format, model, record),
+  return h("div", { class: "files" }, h("div", { class: "row" }, format, model, may("originals") ? record : null),
     h("p", { class: "help" }, "Publish only the marked model. Keep the original private."), problem);
 }
 

@@ -3,6 +3,13 @@
 const quantile = (values, q) => values[Math.min(values.length - 1, Math.floor(q * values.length))];
 const sorted = (values) => values.slice().sort();
 
+/** From where to where most of it is; all of it where that is little more, so that no leaf is cut off. */
+function span(low, high) {
+  const [from, to] = [quantile(low, 0.05), quantile(high, 0.95)];
+  const [least, most] = [quantile(low, 0.002), quantile(high, 0.998)];
+  return most - least < 1.6 * (to - from) ? [least, most] : [from, to]; // else floaters are far away
+}
+
 /** Robust centre and radius in the viewer's frame (y up), and whether the model is a room seen from inside. */
 export function bounds(buffer) {
   const head = new TextDecoder("latin1").decode(new Uint8Array(buffer, 0, Math.min(buffer.byteLength, 65536)));
@@ -14,7 +21,7 @@ export function bounds(buffer) {
   const column = (name) => Float64Array.from({ length: Number(count) }, (_, row) => at(row, name));
   const [low, high] = ["min", "max"].map((side) => ["x", "y", "z"].map((axis) => column(`${side}_${axis}`)));
   const middles = low.map((values, d) => values.map((value, row) => (value + high[d][row]) / 2));
-  const spans = low.map((values, d) => [quantile(sorted(values), 0.05), quantile(sorted(high[d]), 0.95)]);
+  const spans = low.map((values, d) => span(sorted(values), sorted(high[d])));
   const center = spans.map(([from, to], d) => {
     const half = quantile(sorted(middles[d]), 0.5); // floaters move the ends, not this
     const middle = (from + to) / 2;

@@ -5,6 +5,7 @@ import { fact, h } from "./dom.js";
 import { packForm } from "./pack.js";
 import { claimPictures } from "./pictures.js";
 import { problemBox } from "./problem.js";
+import { has, may } from "./session.js";
 import { shareForm } from "./share.js";
 import { TONES, when } from "./words.js";
 import { bits, scale } from "./charts.js";
@@ -15,7 +16,8 @@ const DRAWN = new Set(["false claim", "message read"]);
 export function claimView({ document: claim, summary }, { again } = {}) {
   const heading = h("h1", { tabindex: "-1" }, summary.headline);
   const link = h("a", { href: `#asset/${claim.asset}` }, "Open it");
-  const [pictures, share] = [claimPictures(claim, link), shareForm(claim)];
+  const pictures = claimPictures(claim, link);
+  const share = has("shares") && may("verify") ? shareForm(claim) : null;
   const verdict = h("div", { class: `verdict ${TONES[claim.verdict]}` },
       h("div", { class: "result-head" }, heading,
         again ? h("button", { type: "button", class: "quiet", onclick: again }, "Check another") : null),
@@ -25,7 +27,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     pictures.element ? h("div", { class: "evidence" }, verdict, pictures.element) : verdict,
     claim.threshold ? section("sure", "False-claim probability", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
     h("p", { class: "help" }, claim.meaning.record_time),
-    claim.message ? section("message", "Message", summary, "message read",
+    claim.message ? section("message", "Message read", summary, "message read",
       (said) => summary.reading.bits && bits(summary.reading, said)) : null,
     h("dl", { class: "facts texts" },
       pictures.examined,
@@ -36,10 +38,10 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     h("h2", {}, "Checks"),
     h("ul", { class: "checks" }, summary.checks.map(check)),
     h("p", { class: "help" }, claim.meaning.does_not_say),
-    files(claim), packForm(claim, summary), share.element);
+    files(claim), has("packs") ? packForm(claim, summary) : null, share?.element);
   const opened = () => {
     pictures.opened();
-    share.opened();
+    share?.opened();
   };
   return { element, heading, opened };
 }
@@ -54,7 +56,7 @@ function digests([first, ...others]) {
 /** A fact with its drawing. */
 function section(kind, title, { facts }, label, draw) {
   const { text } = facts.find((found) => found.label === label);
-  return h("section", { class: kind }, h("h2", {}, title), h("p", {}, `${label[0].toUpperCase()}${label.slice(1)}: ${text}`), draw(text));
+  return h("section", { class: kind }, h("h2", {}, title), h("p", {}, text), draw(text));
 }
 
 function check({ ok, text, code, outcome }) {
@@ -81,7 +83,8 @@ function files(claim) {
       button("Open the full report", () => open(`${path}/report`), "primary"),
       button("Download the report", () => download(`${path}/report`, `${claim.claim_id}.html`)),
       button("Download the signed claim", () => download(`${path}.jws`, `${claim.claim_id}.jws`))),
-    h("p", { class: "help" }, "The signed claim can be checked offline: ",
+    h("p", { class: "help" }, "The signed claim can be checked offline, with the ",
+      h("a", { href: "/.well-known/jwks.json", download: "jwks.json" }, "public signing keys"), ": ",
       copyable(`mark3dgs verify-report ${claim.claim_id}.jws --jwks jwks.json`, "the command", true)),
     problem);
 }

@@ -1,6 +1,6 @@
 // The view of jobs: what waits and runs, with its place, progress and a way out; and what has ended.
 import { getJson, pause } from "./api.js";
-import { $, fill, focusOn, h, say } from "./dom.js";
+import { $, fill, focusOn, say } from "./dom.js";
 import { ENDED, cancel } from "./jobs.js";
 import { endedRow, openRow } from "./jobrow.js";
 import { listPath, pager } from "./pages.js";

@@ -3,18 +3,27 @@ import { postJson, save } from "./api.js";
 import { $, fill, h, only } from "./dom.js";
 import { getAll } from "./pages.js";
 import { showProblem } from "./problem.js";
+import { may } from "./session.js";
 
-/** List the keys; with none, the form to make one is open at once. */
+/** List the keys; with none, the form to make one is open at once. Who may not see or make them has the only one. */
 export async function listKeys() {
-  const items = await getAll("/v1/keys");
+  const items = may("read") ? await getAll("/v1/keys") : [];
   const select = $("#mark-key");
   const chosen = select.value;
   fill(select, items.map((key) =>
     h("option", { value: key.id }, key.label ? `${key.label} (${key.fingerprint.slice(0, 8)})` : key.fingerprint)));
   if (items.some((key) => key.id === chosen)) select.value = chosen;
-  const none = items.length === 0;
+  $("#key-new").hidden = !may("admin");
+  if (!items.length && !may("admin")) fill(select, h("option", { value: "" }, "The owner’s only key"));
+  const none = select.options.length === 0;
   $("#key-cancel").hidden = none;
   showMaking(none || !$("#key-make").hidden); // who is making a key is not interrupted
+}
+
+/** Id of the chosen key, made if its form is open; "" for the owner's only one, undefined where none could be made. */
+export async function chosenKey() {
+  if ($("#mark-key").disabled && !(await make())) return undefined;
+  return $("#mark-key").value;
 }
 
 /** Wire the buttons. */
@@ -44,6 +53,7 @@ async function make() {
   const button = $("#key-create");
   const label = $("#key-label");
   button.disabled = true;
+  let done = false;
   try {
     const reveal = $("#key-reveal").checked;
     const made = await postJson("/v1/keys", { label: label.value.trim(), reveal });
@@ -54,9 +64,11 @@ async function make() {
     showMaking(false);
     $("#mark-key").value = made.id;
     $("#mark-key").focus();
+    done = true;
   } catch (error) {
     showProblem($("#key-problem"), error);
   } finally {
     button.disabled = false;
   }
+  return done;
 }

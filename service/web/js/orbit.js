@@ -6,7 +6,7 @@ export class Orbit {
   #start;
 
   constructor({ center, radius, isRoom }, changed) {
-    this.#start = { target: [...center], yaw: 25, pitch: -12, distance: radius * (isRoom ? 0.3 : 2.7) };
+    this.#start = { target: [...center], yaw: 25, pitch: -12, distance: radius * (isRoom ? 0.3 : 3) };
     this.radius = radius;
     this.changed = changed;
     this.reset();

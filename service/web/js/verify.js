@@ -1,59 +1,20 @@
-// Check a suspect: the form, the job, the claim.
-import { getJson, postOnce } from "./api.js";
+// Check a suspect: the form, and the claim that is made of it.
+import { getJson } from "./api.js";
 import { claimView } from "./claim.js";
-import { $, fill, focusOn, h, only } from "./dom.js";
-import { dropZone } from "./drop.js";
-import { refusal } from "./embed.js";
+import { $, fill, h } from "./dom.js";
+import { jobForm } from "./jobform.js";
 import { pager, whenTyped } from "./pages.js";
 import { showProblem } from "./problem.js";
-import { Cancelled, Progress } from "./progress.js";
+import { may } from "./session.js";
 import { assetName } from "./words.js";
 
 const PICTURE = /\.(png|jpe?g|webp|avif|bmp|gif|tiff?)$/i;
 
 /** Wire the view; `enter` is called when it is shown, `leave` when the API key is gone. */
 export function startVerify() {
-  const [form, intro, place, result, problem] =
-    ["form", "intro", "progress", "result", "problem"].map((name) => $(`#check-${name}`));
-  const clear = dropZone($("#check-drop"), () => fill(problem));
+  const show = async (made, again) => claimView(await getJson(`/v1/claims/${made.claim_id}`), { again });
+  const { form, problem, run, leave } = jobForm("check", { title: "Checking the suspect", show });
   const listAssets = assetChoice((error) => showProblem(problem, error));
-  let progress = null;
-
-  const again = () => {
-    fill(result);
-    fill(place);
-    only(form, form, place, result);
-    intro.hidden = false;
-  };
-
-  const run = async (files, pictures) => {
-    const chosen = { asset_id: $("#check-asset").value || null, false_claim_rate: Number($("#check-rate").value) };
-    only(place, form, place, result);
-    const running = new Progress(place, "Checking the suspect");
-    progress = running;
-    try {
-      const ids = (await running.upload(files)).map((uploaded) => uploaded.id);
-      const body = { ...chosen, ...(pictures ? { image_upload_ids: ids } : { upload_id: ids[0] }) };
-      const names = files.length > 1 ? `${files[0].name} and ${files.length - 1} more` : files[0].name;
-      const job = await running.run((signal) => postOnce("/v1/verify", body, signal), names);
-      if (running !== progress) return;
-      if (job.state !== "succeeded") throw refusal(job);
-      const view = claimView(await getJson(`/v1/claims/${job.result.claim_id}`), {
-        again: () => { clear(); again(); focusOn($("#check-title")); },
-      });
-      intro.hidden = true;
-      fill(result, view.element);
-      only(result, form, place, result);
-      focusOn(view.heading);
-      view.opened();
-    } catch (error) {
-      if (running !== progress) return;
-      again();
-      if (error instanceof Cancelled) focusOn($("#check-title"));
-      else showProblem(problem, error);
-    }
-  };
-
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     fill(problem);
@@ -63,16 +24,17 @@ export function startVerify() {
       showProblem(problem, { title: "More than one suspect", detail: "Choose one model, or only pictures of one scene." });
       return;
     }
-    run(files, pictures);
+    const chosen = { asset_id: $("#check-asset").value || null, false_claim_rate: Number($("#check-rate").value) };
+    const body = (ids) => ({ ...chosen, ...(pictures ? { image_upload_ids: ids } : { upload_id: ids[0] }) });
+    run(files, "/v1/verify", body, files.length > 1 ? `${files[0].name} and ${files.length - 1} more` : files[0].name);
   });
   return {
     enter: () => {
-      if (!form.hidden) listAssets();
+      $("#check-which").hidden = !may("read");
+      if (!form.hidden && may("read")) listAssets();
     },
     leave: () => {
-      progress?.cancel();
-      progress = null;
-      again();
+      leave();
       fill($("#check-asset"), ALL());
       $("#check-search").value = "";
     },

@@ -32,7 +32,7 @@ export class Viewer {
 
   constructor(asset) {
     this.asset = asset;
-    this.status = h("p", { class: "viewer-status", role: "status" });
+    this.status = h("p", { class: "help", role: "status" });
     this.panes = [pane("Original"), pane("Marked")];
     this.stage = h("div", { class: "viewer-stage", tabindex: "0", role: "application",
       "aria-label": "Original and marked model in 3D. Arrow keys rotate, plus and minus zoom, Home resets." },

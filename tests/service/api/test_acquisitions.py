@@ -11,15 +11,21 @@ from typing import Any
 
 import httpx
 import pytest
+import sqlalchemy as sa
 from fastapi.testclient import TestClient
 from pydantic import ValidationError
 
 from engine.records.timestamps import check_stamp
+from service.acquisitions.endpoints import NewAcquisition
 from service.app import make_app
+from service.clock import ago
 from service.core import Service
+from service.db.schema import idempotency as rows
+from service.http import idempotency
 from service.problems import Problem
 from service.settings import OPTIONAL_ROUTERS, Settings
 from service.trust import audit
+from service.trust.api_keys import check
 from service.trust.canonical import canonical, digest
 from service.trust.commitments import ACQUISITION_MADE, acquisition_facts
 from service.uploads.retention import sweep
@@ -163,6 +169,36 @@ def test_parts_that_are_left_out_are_nowhere(api: Api) -> None:
     assert not any("pack" in path or "shared" in path for path in bare)
     with pytest.raises(ValidationError):
         Settings(routers="webhooks,blackmail")
+
+
+def test_a_request_that_is_sent_again_is_done_once(api: Api, sites: Sites, stranger: Api) -> None:  # noqa: F811
+    site, key = sites(answer(MODEL)), {"Idempotency-Key": "k1"}
+    open_to_all = with_settings(api, acquisitions_private=True)
+    body = {"url": site.url("/a.ply")}
+    first, again = (open_to_all.client.post("/v1/acquisitions", json=body, headers=key) for _ in range(2))
+    assert (first.status_code, again.status_code) == (201, 201)
+    assert first.headers["location"] == again.headers["location"]
+    assert again.json().items() >= {k: v for k, v in first.json().items() if k != "timestamp_failure"}.items()
+    assert len(api.client.get("/v1/acquisitions").json()["items"]) == 1
+    other = open_to_all.client.post("/v1/acquisitions", json={"url": site.url("/b.ply")}, headers=key)
+    assert (other.status_code, other.json()["type"]) == (422, "urn:mark3dgs:problem:idempotency-mismatch")
+    assert stranger.client.post("/v1/acquisitions", json={"upload_id": "up_1"}, headers=key).status_code == 404
+    retried = {"upload_id": stranger.upload(MODEL)}
+    assert stranger.client.post("/v1/acquisitions", json=retried, headers=key).status_code == 201, "it had failed"
+
+
+def test_a_slow_address_is_not_fetched_twice_at_once(api: Api) -> None:
+    """For all the time that an address may take, the first request is still at work."""
+    slow = with_settings(api, acquire_seconds=600.0)
+    body = {"upload_id": api.upload(MODEL)}
+    caller = check(api.service.db, api.service.master, api.client.headers["authorization"].removeprefix("Bearer "))
+    request = {"acquire": NewAcquisition.model_validate(body).model_dump(mode="json")}
+    assert idempotency.begin(api.service.db, caller, "k2", request) is None
+    for minutes, status in ((9, 409), (12, 201)):
+        began = sa.update(rows).where(rows.c.key.endswith(" k2")).values(created_at=ago(minutes / 60))
+        api.service.db.change(began.where(rows.c.tenant == caller.tenant))
+        answered = slow.client.post("/v1/acquisitions", json=body, headers={"Idempotency-Key": "k2"})
+        assert answered.status_code == status, answered.text
 
 
 @pytest.mark.parametrize("driver", DRIVERS)

@@ -58,6 +58,7 @@ def ids(api: Api) -> dict[str, str]:
         "upload_id": upload,
         "webhook_id": hook,
         "key_id": key,
+        "api_key_id": api.client.post("/v1/api-keys", json={"scopes": ["read"]}).json()["id"],
         "job_id": job,
         "asset_id": asset,
         "claim_id": claim,
@@ -122,7 +123,8 @@ def test_every_body_with_anothers_ids(stranger: Api, ids: dict[str, str]) -> Non
 
 
 def test_lists_hold_ones_own(api: Api, stranger: Api, ids: dict[str, str]) -> None:
-    for path in ("/v1/keys", "/v1/jobs", "/v1/assets", "/v1/claims", "/v1/uploads", "/v1/acquisitions", "/v1/webhooks"):
+    kinds = ("keys", "api-keys", "jobs", "assets", "claims", "uploads", "acquisitions", "webhooks")
+    for path in (f"/v1/{kind}" for kind in kinds):
         foreign = stranger.client.get(path).text
         assert not any(value in foreign for value in ids.values())
         if path == "/v1/webhooks":  # it has no pages

@@ -21,6 +21,7 @@ BODIES = {
     "/v1/uploads": {"name": "?"},
     "/v1/acquisitions": {"upload_id": "?"},
     "/v1/keys": {"label": "?"},
+    "/v1/api-keys": {"label": "?", "scopes": ["read"]},
     "/v1/embed": {"upload_id": "up_1", "copy_name": "?"},
     "/v1/verify": {"image_upload_ids": ["?"]},
     "/v1/disputes": {"asset_a": "?", "asset_b": "as_1"},

@@ -7,6 +7,7 @@ import threading
 
 import pytest
 import sqlalchemy as sa
+from pydantic import ValidationError
 
 from engine.records import signatures
 from engine.records.timestamps import Stamped
@@ -134,3 +135,11 @@ def test_a_stamp_is_kept_and_asked_for_once(registry: Registry, monkeypatch: pyt
     assert len(replies) == 1
     with registry.db.read() as connection:
         assert connection.execute(sa.select(claims.c.timestamp)).scalar_one() == b"token"
+
+
+@pytest.mark.parametrize("text", ["", "yesterday", "2026-11-27", "2026-11-27T12:00:00"])
+def test_a_claim_names_the_moment_it_was_made(registry: Registry, text: str) -> None:
+    document = registry.issue().document
+    ClaimDocument.model_validate(document)
+    with pytest.raises(ValidationError, match="created_at"):
+        ClaimDocument.model_validate(document | {"created_at": text})

@@ -12,6 +12,7 @@ import pytest
 
 from tests.service import serving
 from tests.service.serving import Served
+from tests.service.web.stock import ask
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
@@ -33,6 +34,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     if CHROMIUM is None:
         pytest.skip("the page is tested in Chromium, which is not here (Debian: apt-get install chromium)")
     made = serving.start(tmp_path_factory.mktemp("served"))
+    ask(made, "/v1/me", "PATCH", {"name": "Test Studio"})  # what the page asks first, else
     yield made
     made.stop()
 
@@ -93,7 +95,7 @@ def page(watched: Watched, served: Served) -> Page:
 
 def sign_in(page: Page, api_key: str) -> None:
     """Give the API key."""
-    page.get_by_label("API key").fill(api_key)
+    page.get_by_label("API key", exact=True).fill(api_key)
     page.get_by_role("button", name="Continue").click()
     page.locator("#views").wait_for()
 

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 def test_a_wrong_api_key_is_refused_in_words(watched: Watched) -> None:
     page = watched.page
-    page.get_by_label("API key").fill("mk_0123456789abcdef_wrong")
+    page.get_by_label("API key", exact=True).fill("mk_0123456789abcdef_wrong")
     page.get_by_role("button", name="Continue").click()
     box = page.get_by_role("alert")
     box.wait_for()
     assert "API key" in box.inner_text()
     assert "Request" in box.inner_text()
     assert page.evaluate("sessionStorage.length") == 0
-    assert page.get_by_label("API key").is_visible()
+    assert page.get_by_label("API key", exact=True).is_visible()
 
 
 def test_the_key_lives_in_this_tab_only_and_is_forgotten(page: Page, served: Served) -> None:
@@ -31,7 +31,7 @@ def test_the_key_lives_in_this_tab_only_and_is_forgotten(page: Page, served: Ser
     page.get_by_role("heading", name="Mark a model").wait_for()
     assert page.evaluate("[localStorage.length, document.cookie]") == [0, ""]
     page.get_by_role("button", name="Forget API key").click()
-    page.get_by_label("API key").wait_for()
+    page.get_by_label("API key", exact=True).wait_for()
     assert page.evaluate("sessionStorage.length") == 0
     assert page.get_by_role("navigation").count() == 0
 

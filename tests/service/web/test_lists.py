@@ -145,7 +145,7 @@ def test_nothing_of_it_stays_once_the_key_is_forgotten(page: Page) -> None:
     page.evaluate("import('/static/js/session.js').then(({ nameJob }) => nameJob('job_1', 'Secret garden'))")
     assert page.evaluate("sessionStorage.length") == 2
     page.get_by_role("button", name="Forget API key").click()
-    page.get_by_label("API key").wait_for()
+    page.get_by_label("API key", exact=True).wait_for()
     assert "Secret" not in page.content()
     assert page.evaluate("sessionStorage.length") == 0
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 AXE = (Path(__file__).parent / "axe" / "axe.min.js").read_text()
-VIEWS = ("gate", "mark", "check", "jobs", "library", "asset", "claim")
+VIEWS = ("gate", "mark", "check", "jobs", "library", "settings", "asset", "claim")
 
 
 @pytest.fixture(scope="session")
@@ -50,6 +50,8 @@ def opened(browser: Browser, served: Served, address: str, view: str, **how: Any
         page.locator("#assets .thumb img").first.wait_for()
     if view == "claim":
         page.locator(".side-by-side img").nth(1).wait_for()
+    if view == "settings":
+        page.locator("#api-key-list li").first.wait_for()
     if view == "jobs":
         page.locator("#jobs-ended [data-job]").nth(1).wait_for()
     return page
