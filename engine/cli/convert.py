@@ -95,6 +95,7 @@ def convert(
                     part.write_bytes(b"".join(pieces))
                     bytes_out = sum(map(len, pieces))
             counts = [len(scene)]
+    notes = notes_of(scene, kind)
     report = {
         "out": str(out),
         "format_in": loaded.format,
@@ -104,7 +105,7 @@ def convert(
         "gaussians": counts[0],
         "levels": counts,
         "repairs": [asdict(repair) for repair in loaded.repairs],
-        "notes": notes_of(scene, kind),
+        "notes": notes,
         "seconds": time.perf_counter() - began,
     }
     say_repairs(console, loaded.repairs)
@@ -112,7 +113,7 @@ def convert(
         f"{model} ({loaded.format}) -> {out} ({kind}): {' + '.join(f'{count:,}' for count in counts)} Gaussians,"
         f" {loaded.source_bytes:,} -> {bytes_out:,} bytes"
     )
-    for note in notes_of(scene, kind):
+    for note in notes:
         console.say(f"  note: {note}")
     console.emit(report)
     return 0

@@ -105,7 +105,7 @@ def describe_model(loaded: Loaded) -> Values:
     from engine.formats.modes import mode_of
 
     model = loaded.model
-    extent = measure_extent(model)
+    extent, origin = measure_extent(model), np.array(model.origin)
     return {
         "format": loaded.format,
         "bytes": loaded.source_bytes,
@@ -113,8 +113,8 @@ def describe_model(loaded: Loaded) -> Values:
         "gaussians": len(model),
         "sh_degree": model.sh_degree,
         "render_mode": mode_of(model) or "default",
-        "bounds": [model.means.min(axis=0).tolist(), model.means.max(axis=0).tolist()],
-        "center": extent.center.tolist(),
+        "bounds": [(edge(model.means, axis=0) + origin).tolist() for edge in (np.min, np.max)],
+        "center": (extent.center + origin).tolist(),
         "radius": extent.radius,
         "is_room": extent.is_room,
         "opacity_median": float(np.median(model.opacities)),
