@@ -72,4 +72,4 @@ def test_all_checks(served: Served, tmp_path: Path) -> None:
     ]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout[-6000:] + served.log()[-3000:]
-    assert "Tested: 55" in done.stdout
+    assert "Tested: 58" in done.stdout
