@@ -84,18 +84,23 @@ class Console:
     @contextmanager
     def _lines(self) -> Iterator[Progress]:
         running: list[tuple[str, float]] = []
+        reached = ""
 
         def close() -> None:
             while running:
                 stage, began = running.pop()
                 seconds = time.perf_counter() - began
                 if seconds >= LONG_STAGE_SECONDS:
-                    self.note(f"  {STAGES.get(stage, stage)}: {seconds:.1f} s")
+                    self.note(f"  {_in_words(stage, reached)}: {seconds:.1f} s")
 
         def callback(stage: str, fraction: float) -> None:
+            nonlocal reached
+            stage, _, now = stage.partition(": ")
             if not running or running[-1][0] != stage:
                 close()
                 running.append((stage, time.perf_counter()))
+                reached = ""
+            reached = now or reached
 
         yield callback
         close()
@@ -113,14 +118,21 @@ def _bar() -> Iterator[Progress]:
         tasks: dict[str, TaskID] = {}
 
         def callback(stage: str, fraction: float) -> None:
+            stage, _, reached = stage.partition(": ")
             if stage not in tasks:
                 for task in tasks.values():
                     display.remove_task(task)
                 tasks.clear()
-                tasks[stage] = display.add_task(STAGES.get(stage, stage), total=1.0)
-            display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0))
+                tasks[stage] = display.add_task(_in_words(stage), total=1.0)
+            words = _in_words(stage, reached) if reached else None  # None leaves what stands there
+            display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0), description=words)
 
         yield callback
+
+
+def _in_words(stage: str, reached: str = "") -> str:
+    """A stage of the engine, and what it has reached, for people."""
+    return STAGES.get(stage, stage) + (f" ({reached})" if reached else "")
 
 
 WIDTH = 96

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "CompressConfig"]
+__all__ = ["CONFIG", "RECOVERY", "CompressConfig", "RecoveryConfig"]
 
 
 @dataclass(frozen=True)
@@ -18,4 +18,48 @@ class CompressConfig:
     thin: float = 1e-8  # share of its trace added to a covariance, so that discs have a determinant
 
 
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """What pruning leaves, fitted to the original's renders (`recovery`).
+
+    Work is counted, not timed, so that the bytes do not depend on the machine: nanoseconds of one core, as measured.
+    """
+
+    per_gaussian: float = 220.0  # of a picture and its gradients; so is the next
+    per_pixel: float = 50.0
+    least_work: float = 6e9  # that any model is worth, each of its Gaussians, and the most of a model
+    work_each: float = 130e3
+    most_work: float = 80e9
+    views: int = 48  # fitted to, and the fewest where the original is slow to draw
+    least_views: int = 12
+    held_out: int = 6  # views that are neither fitted to nor the key's, and held to the budget, too
+    looking: float = 0.25  # share of the work that may go into drawing them
+    side: int = 800  # pixels at most: at 400 the same work gains less in views of 800
+    seed: int = 0xF17  # of the views, and of their order
+    hard_share: float = 0.5  # of the steps that go to views by their squared error: the worst view decides
+    full_pace_db: float = 37.0  # goal up to which the rates are these, and smaller with the error beyond it
+    # Steps of a round, and the factors on their rates: at full rates alone the worst view stays 1.5 dB below
+    round: tuple[int, ...] = (60, 25, 15)
+    paces: tuple[float, ...] = (1.0, 0.3, 0.1)
+    # Adam steps: centres, in the Gaussian's own widths; unit quaternions; log scales; logits
+    mean_rate: float = 0.03
+    quat_rate: float = 5e-3
+    scale_rate: float = 1e-2
+    opacity_rate: float = 4e-2
+    knee: float = 0.02  # below which an error counts by its square, of a range of 1
+    stretch: float = 1.0  # most that a log scale changes: no needles
+    opacity_logit: float = 7.0  # beyond which none goes that did not start there
+    # Pruning by turns: how far below the budget it starts (the next where that is not made good); PSNR that a factor of
+    # e in the number of Gaussians is worth, at first and at the least and most; the least and most share that a turn
+    # leaves; how far below the budget another round may do; and the gain of a round below which there is no more, dB
+    heads_db: tuple[float, ...] = (7.0, 2.0)
+    slope_db: float = 6.0
+    slopes_db: tuple[float, float] = (3.0, 25.0)
+    least_share: float = 0.65
+    most_share: float = 0.98
+    near_db: float = 0.7
+    least_gain_db: float = 0.1
+
+
 CONFIG = CompressConfig()
+RECOVERY = RecoveryConfig()

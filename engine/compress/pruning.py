@@ -33,6 +33,7 @@ class PruneConfig:
     sh_degree: int = 3  # with a budget: harmonics beyond this degree go first
     steps: int = 12  # most candidates rendered
     tolerance_db: float = 0.15  # how close to the budget is close enough (never below it)
+    recover: bool = True  # what is left is fitted to the original's renders (`recovery`), so that more can go
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Progress = Callable[[str, float], None]
-"""Called as progress(stage name, fraction of that stage done in 0..1)."""
+"""Called as progress(stage name, fraction of that stage done in 0..1); ": " and the value by now may follow."""
 
 
 class Clock:
@@ -29,10 +29,10 @@ class Clock:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
         self.advance(1.0)
 
-    def advance(self, fraction: float) -> None:
-        """Say how far the running stage is."""
+    def advance(self, fraction: float, reached: str = "") -> None:
+        """Say how far the running stage is, and what it has reached by now."""
         if self._progress is not None:
-            self._progress(self._stage, fraction)
+            self._progress(f"{self._stage}: {reached}" if reached else self._stage, fraction)
 
     @property
     def total(self) -> float:

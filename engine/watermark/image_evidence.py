@@ -158,6 +158,7 @@ class PublicMark:
     image: Float32  # (H, W, 3)
     signs: Float64  # (C,) sign of each chip's displacement in it
     blur: Blur | None = None  # of the picture; `image` has it
+    steep: Float32 | None = None  # (N, 3) share of a change of each Gaussian's colors that the viewer shows
     change: ColorChange | None = None  # of the colors of the model that it shows; `image` has it
 
 
@@ -210,6 +211,8 @@ def gather_image_evidence(
             pulled, moved = view.backward_colors(cotangent), np.empty(0, dtype=np.float32)
         else:
             pulled, moved = geometry.pull(view, cotangent)
+        if mark.steep is not None:  # the viewer's curve comes after what was done to the model
+            pulled = pulled * mark.steep
         if mark.change is not None:
             pulled = mark.change.adjoint(pulled)
         return pulled, np.concatenate([_gathered(layout, pulled).astype(np.float32), moved])

@@ -177,7 +177,8 @@ def course(job: Job) -> float | None:
         return None
     chosen = job.request.get("profile") == "auto"
     shares = (_AUTO if chosen else _EMBED) if job.kind == "embed" else _PICTURE if pictures else _MODEL
-    if job.stage not in shares:  # kernels are compiled, or one of several records is tested
+    stage = job.stage.partition(": ")[0]  # what is reached may follow
+    if stage not in shares:  # kernels are compiled, or one of several records is tested
         return None
-    before = sum(list(shares.values())[: list(shares).index(job.stage)])
-    return (before + shares[job.stage] * min(max(job.fraction, 0.0), 1.0)) / sum(shares.values())
+    before = sum(list(shares.values())[: list(shares).index(stage)])
+    return (before + shares[stage] * min(max(job.fraction, 0.0), 1.0)) / sum(shares.values())

@@ -40,6 +40,10 @@ def test_long_stages_leave_a_line_where_there_is_no_terminal(
     with Console(False).progress() as progress:
         progress("plan", 0.0)
         progress("plan", 1.0)
+        progress("refine", 0.0)
+        progress("refine: 36.0 dB", 0.5)
+        progress("refine: 37.5 dB", 0.9)
+        progress("refine", 1.0)
         progress("write", 0.0)
-    lines = capsys.readouterr().err.splitlines()
-    assert [line.split(":")[0].strip() for line in lines] == ["planning the watermark", "writing"]
+    lines = [line.rpartition(":")[0].strip() for line in capsys.readouterr().err.splitlines()]
+    assert lines == ["planning the watermark", "refining the watermark against distortions (37.5 dB)", "writing"]

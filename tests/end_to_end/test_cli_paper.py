@@ -11,7 +11,8 @@ from tests.end_to_end.conftest import ask
 from tests.scenes import sparse_plant
 
 Capsys = pytest.CaptureFixture[str]
-SMALL = ("--set", "refine.steps=2", "--set", "views=3", "--set", "view_size=256", "--set", "landmark_views=0")
+KNOBS = ("refine.steps=2", "views=3", "view_size=256", "landmark_views=0", "prune.recover=false")
+SMALL = [part for knob in KNOBS for part in ("--set", knob)]
 
 
 def test_every_bit_is_read_by_the_papers_decoder(capsys: Capsys, tmp_path: Path) -> None:

@@ -13,8 +13,10 @@ from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.flows.embed import delivery
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.delivery import slim_down, unmarked_delivery
-from engine.flows.embed.planning_basis import color_weights
+from engine.flows.embed.planning_basis import Groundwork, color_weights
 from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.variant import PLAIN
+from engine.flows.progress import Clock
 from engine.flows.views.camera_rig import measure_extent
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
@@ -29,8 +31,12 @@ def ball() -> Ball:
 
 
 def slim(ball: Ball, budget: float, **knobs: object) -> tuple[GaussianModel, dict[str, object]]:
-    config = EmbedConfig(prune=PruneConfig(budget_db=budget, merge_distance=0.0, **knobs))  # type: ignore[arg-type]
-    return slim_down(ball.model, ball.original, ball.impact, measure_extent(ball.model), config)
+    prune = PruneConfig(budget_db=budget, merge_distance=0.0, recover=False, **knobs)  # type: ignore[arg-type]
+    return slim_down(groundwork(ball), EmbedConfig(prune=prune), Clock())
+
+
+def groundwork(ball: Ball) -> Groundwork:
+    return Groundwork(measure_extent(ball.model), ball.original, ball.impact, EmbedConfig(), PLAIN)
 
 
 def worst_psnr(ball: Ball, model: GaussianModel) -> float:
@@ -66,7 +72,7 @@ def test_bands_spend_their_share_of_the_error_at_most(ball: Ball, monkeypatch: p
         return drop_unseen_bands(model, curvature, pixels, error)
 
     monkeypatch.setattr(delivery, "drop_unseen_bands", spy)
-    monkeypatch.setattr(delivery, "prune", lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0))
+    monkeypatch.setattr(delivery, "prune_and_fit", lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0))
     thin, report = slim(ball, 30.0)
     assert allowed == [(3 * 64 * 64, pytest.approx(30.0 - 10 * np.log10(CONFIG.plan.band_share)))]
     assert report["sh_bands_dropped"] > 0  # type: ignore[operator]
@@ -82,7 +88,7 @@ def test_a_budget_that_the_bands_alone_would_break_keeps_them(ball: Ball, monkey
 
 
 def test_without_a_budget_the_model_is_left_alone(ball: Ball) -> None:
-    model, report = slim_down(ball.model, ball.original, ball.impact, measure_extent(ball.model), EmbedConfig())
+    model, report = slim_down(groundwork(ball), EmbedConfig(), Clock())
     assert model is ball.model
     assert report == {}
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from engine.compress import recovery
+from engine.compress.config import RECOVERY
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.profiles import PROFILES, EmbedConfig, profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
@@ -29,6 +31,7 @@ def small(**changes: Any) -> EmbedConfig:
     stages = {
         "quantize": replace(start.quantize, residual_codes=(128, 128)),
         "refine": replace(start.refine, steps=6, size=128),
+        "prune": replace(start.prune, recover=False),
     }
     return replace(start, **stages | changes)
 
@@ -88,6 +91,17 @@ def test_every_stage_has_run(model: GaussianModel, marked: tuple[Embedding, Open
     np.testing.assert_allclose(made.model.sh, shared, atol=1e-5)
     moved = made.model.sh[:, 1:] - opened.reference.sh[:, 1:]
     assert np.abs(moved).max() > 5e-3, "the mark is in the harmonics, too"
+
+
+@pytest.mark.long
+def test_what_is_pruned_is_fitted_before_it_is_marked(
+    model: GaussianModel, marked: tuple[Embedding, OpenedRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recovery, "RECOVERY", replace(RECOVERY, least_work=1e9, work_each=0.0))
+    made, _ = mark(model, small(prune=profile("paper").prune))
+    before = marked[0].report
+    assert made.report["psnr_total_worst_view"] > before["psnr_total_worst_view"] + 1.0
+    assert made.report["gaussians_out"] == before["gaussians_out"]
 
 
 def test_an_unmarked_model_is_not_claimed(marked: tuple[Embedding, OpenedRecord]) -> None:

@@ -40,7 +40,7 @@ def test_every_knob_has_a_door() -> None:
         elif isinstance(value, tuple):
             text, wanted = "256,128", (256, 128)
         elif isinstance(value, bool):
-            text, wanted = "true", True
+            text, wanted = str(not value).lower(), not value
         elif isinstance(value, int):
             text, wanted = str(value + 1), value + 1
         else:
@@ -63,3 +63,9 @@ def test_knobs_of_auto_and_knobs_that_are_none() -> None:
         compose("fast", knobs=["paper.frequency=yes"])
     with pytest.raises(InputError, match="psnr must lie between 20 and 90 dB, got 12"):
         compose("fast", knobs=["psnr_db=12"])
+
+
+def test_records_say_what_recovery_did_only_where_something_goes() -> None:
+    """Without a budget a record is, to the byte, what it was before there was recovery."""
+    assert "recover" not in profile("fast").to_json()["prune"]
+    assert compose("fast", budget_db=35.0, knobs=["prune.recover=false"]).to_json()["prune"]["recover"] is False

@@ -37,7 +37,7 @@ def rough(plant: GaussianModel) -> GaussianModel:
 
 
 def asked(allowed: float = ALLOWED, **more: object) -> Auto:
-    knobs = ["landmark_views=0", "view_size=256", "views=6"]
+    knobs = ["landmark_views=0", "view_size=256", "views=6", "prune.recover=false"]
     return replace(compose("auto", budget_db=allowed, knobs=knobs), **more)  # type: ignore[arg-type]
 
 

@@ -152,7 +152,7 @@ def choose(
         # A loss is measured where it is seen: on large views.
         config = replace(whole, views=views, view_size=_CONFIG.view_size if allowed is None else whole.view_size)
         ground = lay_groundwork(model, key, original_sha256, config, cameras)
-        scene = Rehearsing(deliver(ground, config, Clock()), cameras)
+        scene = Rehearsing(deliver(ground, config, Clock()))
         found = scene.at(config)
         if found.held_out_db >= config.psnr_db - _CONFIG.slack_db:
             break
@@ -165,23 +165,19 @@ def choose(
                 break
     delivery, spent = replace(scene.delivery, settings=config), None
     if allowed is not None:
-        delivery, found, spent = _spend(ground, delivery, found, auto, allowed, wanted, cameras)
+        delivery, found, spent = _spend(ground, delivery, found, auto, allowed, wanted)
         tried += sum(way.predicted_z is not None for way in spent.ways)
     return Choice(found, wanted, tried, ground, delivery, spent)
 
 
 def _spend(
-    ground: Groundwork,
-    kept: Delivery,
-    found: Rehearsal,
-    auto: Auto,
-    allowed_db: float,
-    wanted: float,
-    cameras: Sequence[Camera] | None,
+    ground: Groundwork, kept: Delivery, found: Rehearsal, auto: Auto, allowed_db: float, wanted: float
 ) -> tuple[Delivery, Rehearsal, Spent]:
     """The smallest file within the allowance that shows as much of the mark as is wanted, or nearly what there is."""
     config, least = kept.settings, min(wanted, _CONFIG.kept_share * found.predicted_z)
-    made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
+    # Which is smallest is seen without recovery, which takes most of the time.
+    degree = kept.model.sh_degree
+    made = [deliver(ground, _recovering(way, False), Clock()) for way in ways(config, allowed_db, degree)]
     within = [one for one in made if (one.pruned.psnr_pruned_worst_view or 0.0) >= allowed_db]
     # The whole file: a palette (.sog) costs a part as much as all.
     weighed = sorted(((len(encode_model(one.model, auto.format)), one) for one in within), key=lambda each: each[0])
@@ -190,12 +186,19 @@ def _spend(
     for size, one in weighed:
         z, degree = None, one.model.sh_degree
         if chosen is None and size < whole:
-            promise = Rehearsing(one, cameras).at(one.settings)
+            if config.prune.recover:
+                one = deliver(ground, _recovering(one.settings, True), Clock())
+                size = len(encode_model(one.model, auto.format))
+            promise = Rehearsing(one).at(one.settings)
             z = promise.predicted_z
             if z >= least:
                 chosen, kept, found = degree, one, promise
         tried.append(Way(degree, len(one.model), size, z))
     return kept, found, Spent(allowed_db, chosen, whole, tuple(tried))
+
+
+def _recovering(config: EmbedConfig, recover: bool) -> EmbedConfig:
+    return replace(config, prune=replace(config.prune, recover=recover))
 
 
 def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:

@@ -30,6 +30,9 @@ class PlanConstants:
     # Width of the centers across a line through them, in its length: a rotation about the line itself shows nowhere
     least_width: float = 1e-4
     band_share: float = 0.05  # of the pruning budget's squared error, that dropping SH bands may use
+    left_a_code: float = (
+        4.2  # Gaussians left by pruning in turns with recovery: with fewer, pictures show less of the mark
+    )
     most_stages: int = 5  # of residual code vectors
     apart: float = 0.5  # shift of each half along the longest axis, standard deviations of the whole along it
     bit_temperature: float = 4.0  # z per bit at which the message loss saturates: a bit error of 3e-5

@@ -4,22 +4,26 @@ The paper densifies while it trains. A finished model is densified once, where t
 to see: the Gaussians of the greatest W^freq are split.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from engine.compress.config import RECOVERY
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
 from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature
-from engine.compress.pruning import drop_unseen_bands, prune, prune_at
+from engine.compress.pruning import Pruned as Fitted
+from engine.compress.pruning import drop_unseen_bands, prune_at
+from engine.compress.recovery import Recovery, Target, Tell, fit, prune_and_fit, recoverable, sum_squares, views_for
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.planning_basis import Groundwork, color_weights
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.progress import Clock
-from engine.flows.views.camera_rig import Extent
 from engine.flows.views.view_set import ViewSet, worst_psnr_against
-from engine.model import Float64, GaussianModel
+from engine.model import Camera, Float64, GaussianModel
 from engine.numerics.plain import Json, Report
 from engine.numerics.similarity import quaternion_to_rotation
+from engine.raster import render
 
 _CONFIG = CONFIG.plan
 
@@ -54,55 +58,82 @@ class Delivery:
 def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delivery:
     """Prune and quantise as the settings say."""
     with clock.stage("prune"):
-        slim, pruned = slim_down(original.model, original.views, original.impact, original.extent, settings)
+        slim, pruned = slim_down(original, settings, clock)
     with clock.stage("quantize"):
-        ground = original.of(slim, clock)
+        # What is left is quantised as these settings say, under whichever ones it was looked at.
+        ground = (replace(original, config=settings) if settings.thins else original).of(slim, clock)
         model, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
         return Delivery(settings, ground, model, tuple(stages), ground.views_of(model, clock), pruned)
 
 
-def slim_down(
-    model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
-) -> tuple[GaussianModel, Pruned]:
-    """Prune Gaussians and SH bands within the owner's budget, or as the paper does, and report on it.
+def slim_down(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[GaussianModel, Pruned]:
+    """Prune Gaussians and SH bands within the owner's budget, or as the paper does, fit what is left to the original's
+    renders, and report on it.
 
     With neither the model stays as it is and there is no report.
     """
     if config.paper.tau_base > 0 or config.paper.densify > 0:
-        return _as_the_paper(model, original, impact, extent, config)
-    budget = config.prune.budget_db
+        return _as_the_paper(original, config, clock)
+    budget, model, cameras = config.prune.budget_db, original.model, original.cameras
     if budget is None:
         return model, Pruned()
-    measure = worst_psnr_against(original.images, original.cameras)
+    (target, measure), worth = _sights(original, config), _worth(original, config)
     if config.prune.sh_degree < model.sh_degree:
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
-    pixels = sum(c.width * c.height for c in original.cameras)
-    curvature = sh_curvature(model, original.views, original.cameras)
+    if target is not None and config.prune.rank == "error":
+        worth = worth + sum_squares(model, target.cameras)  # what key views alone do not show is seen elsewhere
+    pixels = sum(c.width * c.height for c in cameras)
+    curvature = sh_curvature(model, original.views.views, cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, _CONFIG.band_share * 10 ** (-budget / 10.0))
-    rank = _worth(model, impact, config)
-    pruned = prune(thin, rank, measure, extent.radius, config.prune)
-    if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
-        dropped = 0
-        pruned = prune(model, rank, measure, extent.radius, config.prune)
-    return pruned.model, Pruned(pruned.psnr_db, pruned.merged, budget, dropped)
+
+    def pruned(candidate: GaussianModel) -> Fitted:
+        radius, fewest = original.extent.radius, round(_CONFIG.left_a_code * config.plan.codes)
+        return prune_and_fit(candidate, worth, measure, radius, config.prune, target, fewest, _tell(clock))
+
+    found = pruned(thin)
+    if found.psnr_db < budget:  # the bands alone broke a very tight budget
+        dropped, found = 0, pruned(model)
+    return found.model, Pruned(found.psnr_db, found.merged, budget, dropped)
 
 
-def _worth(model: GaussianModel, impact: Impact, config: EmbedConfig) -> Float64:
+def _sights(original: Groundwork, config: EmbedConfig) -> tuple[Target | None, Callable[[GaussianModel], float]]:
+    """What pruned Gaussians are fitted to, None where they cannot be; and the PSNR of the worst view of a candidate.
+
+    Some views that were neither fitted to nor are the key's are held to the budget, too.
+    """
+    model, side, held = original.model, min(config.view_size, RECOVERY.side), RECOVERY.held_out
+    fitted: list[Camera] = []
+    if config.prune.recover and recoverable(model):
+        fitted = original.unseen(views_for(len(model), side) + held, side, np.random.default_rng(RECOVERY.seed))
+    if len(fitted) < RECOVERY.least_views:  # of the owner's cameras few are left
+        return None, worst_psnr_against(original.views.images, original.cameras)
+    others = [fitted.pop(k) for k in np.linspace(len(fitted) - 1, 0, held).astype(int)]
+    images = [*original.views.images, *(render(model, camera) for camera in others)]
+    return Target.of(model, fitted), worst_psnr_against(images, [*original.cameras, *others])
+
+
+def _tell(clock: Clock) -> Tell:
+    return lambda share, psnr_db: clock.advance(share, f"{psnr_db:.1f} dB")
+
+
+def _worth(original: Groundwork, config: EmbedConfig) -> Float64:
     """(N,) what Gaussians are ranked by when some must go."""
-    return paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+    paper = config.prune.rank == "paper"
+    return paper_impact(original.model, original.impact) if paper else original.impact.squared
 
 
-def _as_the_paper(
-    model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
-) -> tuple[GaussianModel, Pruned]:
-    """Pruned at a fixed threshold (Eq 5), merged, and densified where W^freq is greatest."""
+def _as_the_paper(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[GaussianModel, Pruned]:
+    """Pruned at a fixed threshold (Eq 5), merged, densified where W^freq is greatest, and fitted."""
+    model, radius = original.model, original.extent.radius
     slim, kept, merged = model, np.arange(len(model), dtype=np.int32), 0
     if config.paper.tau_base > 0:
-        rank = _worth(model, impact, config)
-        slim, kept, merged = prune_at(model, rank, config.paper.tau_base, extent.radius, config.prune)
-    dense = densify(slim, frequency_impact(model, impact)[kept], config.paper.densify)
-    psnr_db = worst_psnr_against(original.images, original.cameras)(dense)
-    return dense, Pruned(psnr_db, merged, densified=len(dense) - len(slim))
+        slim, kept, merged = prune_at(model, _worth(original, config), config.paper.tau_base, radius, config.prune)
+    dense = densify(slim, frequency_impact(model, original.impact)[kept], config.paper.densify)
+    target, measure = _sights(original, config)
+    if target is None:
+        return dense, Pruned(measure(dense), merged, densified=len(dense) - len(slim))
+    fitted, psnr_db = fit(Recovery(dense, target), measure, _tell(clock))
+    return fitted, Pruned(psnr_db, merged, densified=len(dense) - len(slim))
 
 
 def unmarked_delivery(

@@ -39,6 +39,7 @@ class Groundwork:
     impact: Impact
     config: EmbedConfig  # under which it was made
     variant: Variant
+    own: Sequence[Camera] = ()  # the owner's cameras, where there are any
 
     @property
     def model(self) -> GaussianModel:
@@ -58,6 +59,8 @@ class Groundwork:
         if self.config.output == "compact":
             fewer = CONFIG.plan.compact
             config = replace(config, cells=config.cells // fewer, min_members=config.min_members * fewer)
+        elif self.config.thins and self.config.prune.recover:  # few are left, and the key joins as many cells of them
+            config = replace(config, min_members=1)
         return own or quantize(self.model, self.colors, self.extent.radius, config, self._coarse)
 
     @property
@@ -84,11 +87,20 @@ class Groundwork:
         pixels = WATERMARK.planning.reference_pixels
         return np.array([[pixels / (camera.width * camera.height)] for camera in self.cameras])
 
+    def unseen(self, count: int, side: int, rng: np.random.Generator) -> list[Camera]:
+        """Up to so many views, of `side` pixels, that are no key views: of the owner's cameras where some are left."""
+        taken = {camera.viewmat.tobytes() for camera in self.cameras}
+        left = [camera for camera in self.own if camera.viewmat.tobytes() not in taken]
+        if left:
+            spread = np.linspace(0, len(left) - 1, min(count, len(left))).round().astype(int)
+            return [left[i].with_side(side) for i in spread]
+        return make_rig(self.model, count, side, side, jitter=rng.random((count, 4)), extent=self.extent)
+
     def of(self, model: GaussianModel, clock: Clock) -> Groundwork:
         """Of another model in its place, seen from its views."""
         if model is self.model:
             return self
-        return _seen(model, self.cameras, self.extent, self.config, self.variant, clock)
+        return _seen(model, self.cameras, self.extent, self.config, self.variant, clock, self.own)
 
     def views_of(self, model: GaussianModel, clock: Clock) -> ViewSet:
         """Another model from these views, without its impact."""
@@ -134,11 +146,17 @@ def lay_groundwork(
     _check_placeable(model, extent)
     key_cameras = _key_cameras(model, key, bytes.fromhex(original_sha256), config, cameras, extent)
     check_drawable(model, key_cameras)
-    return _seen(model, key_cameras, extent, config, variant, clock or Clock())
+    return _seen(model, key_cameras, extent, config, variant, clock or Clock(), cameras or ())
 
 
 def _seen(
-    model: GaussianModel, cameras: Sequence[Camera], extent: Extent, config: EmbedConfig, variant: Variant, clock: Clock
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    extent: Extent,
+    config: EmbedConfig,
+    variant: Variant,
+    clock: Clock,
+    own: Sequence[Camera],
 ) -> Groundwork:
     views = look(model, cameras, clock.advance, variant.at_view)
     if all(_is_blank(image) for image in views.images):
@@ -146,7 +164,7 @@ def _seen(
             "no key view shows anything of this model, only one color: see with `mark3dgs inspect` whether positions, "
             "sizes and opacities were read as they were meant; or give cameras that look at it (--cameras)"
         )
-    return Groundwork(extent, views, measure_impact(model, views.views, views.images), config, variant)
+    return Groundwork(extent, views, measure_impact(model, views.views, views.images), config, variant, own)
 
 
 def _is_blank(image: Float32) -> bool:

@@ -10,7 +10,6 @@ The lower z is what the scene promises.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +18,9 @@ from engine.flows.embed.config import CONFIG
 from engine.flows.embed.delivery import Delivery
 from engine.flows.embed.layer_strengths import add_dc, first_guess, solve_strength
 from engine.flows.embed.profiles import EmbedConfig
-from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.view_set import look
 from engine.kernels.jit import side_by_side
-from engine.model import Camera, Float32
+from engine.model import Float32
 from engine.numerics.image_metrics import psnr
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.layout import Layout
@@ -50,11 +48,11 @@ class Rehearsal:
 class Rehearsing:
     """A scene with a mark planned on its key views, whose strength is still open."""
 
-    def __init__(self, delivery: Delivery, cameras: Sequence[Camera] | None) -> None:
+    def __init__(self, delivery: Delivery) -> None:
         self.delivery = delivery
         model, ground, config = delivery.model, delivery.ground, delivery.settings
         rng = np.random.default_rng(REHEARSAL_SEED)
-        self._unseen = look(model, self._unseen_cameras(cameras, rng), lambda fraction: None)
+        self._unseen = look(model, ground.unseen(_CONFIG.held_out, _CONFIG.side, rng), lambda fraction: None)
         self._telling = list(range(len(self._unseen.views)))  # which of them are read
         moving = None
         if config.output == "fidelity":
@@ -63,17 +61,6 @@ class Rehearsing:
         layout = self._plan.layout
         self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
         self._displacement = layout.displace(layout.amplitudes * self._signs)
-
-    def _unseen_cameras(self, cameras: Sequence[Camera] | None, rng: np.random.Generator) -> list[Camera]:
-        """Views that are no key views, at the size of the bad picture: of the owner's cameras where some are left."""
-        ground = self.delivery.ground
-        taken = {camera.viewmat.tobytes() for camera in ground.cameras}
-        left = [camera for camera in cameras or () if camera.viewmat.tobytes() not in taken]
-        if left:
-            spread = np.linspace(0, len(left) - 1, min(_CONFIG.held_out, len(left))).round().astype(int)
-            return [left[i].with_side(_CONFIG.side) for i in spread]
-        jitter = rng.random((_CONFIG.held_out, 4))
-        return make_rig(ground.model, _CONFIG.held_out, _CONFIG.side, _CONFIG.side, jitter=jitter, extent=ground.extent)
 
     def at(self, config: EmbedConfig) -> Rehearsal:
         """What these settings' fidelity promises."""

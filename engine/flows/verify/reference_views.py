@@ -16,7 +16,8 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import ColorChange, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG
-from engine.raster import RasterSettings, View, draw, prepare_view
+from engine.pictures.alignment.viewer_tone import ViewerTone, find_viewer_tone
+from engine.raster import RasterSettings, View, draw, prepare_view, sh_colors
 from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
@@ -47,23 +48,34 @@ class ReferenceViews:
         rough = self.signs[layout.chips :].astype(np.float32).reshape(-1, ATTRIBUTES)
         self._rough = roughen(model, grain, rough) if grain.there else model
 
-    def at(self, camera: Camera, settings: RasterSettings = RasterSettings()) -> ReferenceView:
-        """The reference from one camera."""
+    def at(
+        self, camera: Camera, settings: RasterSettings = RasterSettings(), tone: ViewerTone | None = None
+    ) -> ReferenceView:
+        """The reference from one camera; `tone` is the viewer's."""
         model, grain = self._model, self.opened.grain
-        drawn = draw(model, camera, settings=settings)
+        own = steep = toned = None
+        if tone is not None:
+            own = sh_colors(model.sh, model.means, camera.position)
+            toned, steep = tone(own), tone.slope(own)
+        drawn = draw(model, camera, settings=settings, colors=toned)
         view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
         # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
-        colors = np.maximum(drawn.colors + seen_shift(self._tint, model, camera), 0.0)
+        colors = np.maximum((drawn.colors if own is None else own) + seen_shift(self._tint, model, camera), 0.0)
+        colors = colors if tone is None else tone(colors)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
         geometry = None
         if grain.there:
             seen = drawn.view.geometry
             smooth = seen.settings.antialiased or len(seen.discs) > 0
-            geometry = GrainView(
-                draw(model, camera, settings=replace(PLAIN, by_distance=settings.by_distance)) if smooth else drawn,
-                grain,
-            )
-        return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
+            flat = replace(PLAIN, by_distance=settings.by_distance)
+            geometry = GrainView(draw(model, camera, settings=flat, colors=toned) if smooth else drawn, grain)
+        return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry, tone=tone, steep=steep)
+
+    def tone(self, camera: Camera, settings: RasterSettings, picture: Float32) -> ViewerTone | None:
+        """The tone curve that the viewer of a picture (H, W, 3) from this camera applied to every Gaussian, if any."""
+        small = camera.with_side(CONFIG.viewer_tone.side)
+        drawn = draw(self._model, small, settings=settings)
+        return find_viewer_tone(drawn.view, drawn.colors, drawn.alpha, picture)
 
     @cached_property
     def _neighborhoods(self) -> Neighborhoods:
@@ -78,7 +90,8 @@ class ReferenceViews:
     def changed_as(self, view: ReferenceView, picture: Float32, mask: Bool) -> ReferenceViews | None:
         """The reference with its colors changed as those of the model that a picture (H, W, 3) in a view's pixels
         shows; None where they were not, or are changed already."""
-        if self.change is not None or view.blur is not None or self.opened.layout.width != 3:
+        changed = self.change is not None or view.blur is not None or view.tone is not None
+        if changed or self.opened.layout.width != 3:
             return None
         usable = mask & (view.alpha > OPAQUE)
         colors = self.opened.reference.sh[:, 0]
@@ -98,6 +111,8 @@ class ReferenceView:
     mark: Float32  # (H, W, 3) what a mark of public signs adds
     geometry: GrainView | None
     blur: Blur | None = None  # that `plain`, `alpha` and `mark` went through
+    tone: ViewerTone | None = None  # that the Gaussians' colors went through,
+    steep: Float32 | None = None  # and its slope (N, 3) at them
 
     def blurred(self, blur: Blur) -> ReferenceView:
         """This sharp view as a picture shows it that was blurred so."""
@@ -111,7 +126,7 @@ class ReferenceView:
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        mark = PublicMark(self.mark, self.of.signs, self.blur, self.of.change)
+        mark = PublicMark(self.mark, self.of.signs, self.blur, self.steep, self.of.change)
         return gather_image_evidence(*seen, mark, through, self.geometry)
 
 

@@ -58,6 +58,7 @@ __all__ = [
     "derivation_of_pictures",
     "derivation_of_sight",
     "duplicate_weights",
+    "far_views",
     "read_found",
     "read_gaussians",
     "read_grain",
@@ -129,7 +130,8 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
     """A picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
-    view = reference.at(found.camera, found.settings)
+    tone = reference.tone(found.camera, found.settings, image)
+    view = reference.at(found.camera, found.settings, tone)
     blur = find_blur(luma(view.plain), view.alpha, luma(image))
     if blur is not None:
         view = view.blurred(blur)
@@ -181,7 +183,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
             there = carried(camera, matrix, width, height)
             if there is None:
                 break
-            view = reference.at(there, drawn)
+            view = reference.at(there, drawn, laid.view.tone)
             behind = find_background(image, view.alpha) if over else None
             through = np.float32(0.0) if behind is None else behind.through
             near = align_upright(view.plain, image - through)
@@ -455,7 +457,7 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, _CONFIG.edge_views, *_CONFIG.edge_size)))
+    far = cache(lambda: far_views(opened.reference))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
@@ -484,6 +486,12 @@ def read_pictures(
     notes += [LEFT_OUT.format(number + 1) for number in odd]
     scattered = _nothing(opened) if together is None else together.by_scatter(opened.strength)
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
+
+
+def far_views(model: GaussianModel) -> FarViews:
+    """The model from afar, from all around: where pictures without keypoints are sought."""
+    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, elevations=_CONFIG.edge_elevations)
+    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size))
 
 
 def _how_read(number: int, read: ReadPicture) -> Iterator[str]:

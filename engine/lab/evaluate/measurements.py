@@ -82,7 +82,11 @@ MEASUREMENTS = {
         ("profile", "repeats"),
     ),
     "fidelity": Measurement(
-        "dB, SSIM and bits for every message length, compact output and pruning budgets", "marking:measure_fidelity"
+        "dB, SSIM and bits for every message length and the compact output", "marking:measure_fidelity"
+    ),
+    "budgets": Measurement(
+        "Gaussians, bytes, seconds, dB and z for every pruning budget, without and with recovery",
+        "marking:measure_budgets",
     ),
     "attacks": Measurement("bits, z and claim after every attack of the bars", "attacks:measure_attacks"),
     "screenshots": Measurement(

@@ -155,6 +155,21 @@ class ToneConfig:
 
 
 @dataclass(frozen=True)
+class ViewerToneConfig:
+    """Tone curves that a viewer applies to every Gaussian (`viewer_tone`)."""
+
+    side: int = 256  # longer side of the renders that tell, pixels
+    solid: float = 0.95  # opacity of the reference from which a pixel counts
+    clipped: float = 0.985  # brighter pixels of the picture do not
+    least_pixels: int = 500  # fewer do not tell
+    # A curve must miss by this share of what the plain render, and a curve of it, do: of 41 pictures of two viewers the
+    # right curves came to 0.68 to 0.93 but for one, curves that were not there to 1.00 and more
+    better: float = 0.95
+    knots: int = 9  # of that curve
+    step: float = 0.01  # over which slopes are measured
+
+
+@dataclass(frozen=True)
 class LightConfig:
     """Uneven light (`uneven_light`)."""
 
@@ -209,6 +224,7 @@ class AlignmentConfig:
     background: BackgroundConfig = BackgroundConfig()
     detail: DetailConfig = DetailConfig()
     tone: ToneConfig = ToneConfig()
+    viewer_tone: ViewerToneConfig = ViewerToneConfig()
     light: LightConfig = LightConfig()
     residual: ResidualConfig = ResidualConfig()
 

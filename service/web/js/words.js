@@ -8,7 +8,7 @@ const STAGES = {
   read: "Reading the model",
   look: "Rendering the key views",
   choose: "Choosing the settings",
-  prune: "Pruning invisible Gaussians",
+  prune: "Pruning to the quality budget",
   quantize: "Learning the codebook",
   landmarks: "Building the landmark database",
   plan: "Planning the watermark",
@@ -32,11 +32,12 @@ const STAGES = {
   commit: "Saving the result",
 };
 
-/** What a stage of a job does, and how many of how many where it is known ("record 3 of 20"). */
+/** What a stage of a job does, and what it has reached where that is known ("record 3 of 20", "prune: 37.5 dB"). */
 export function stageWords(stage) {
   const many = /^record (\d+ of \d+)$/.exec(stage);
   if (many) return [STAGES.verify, many[1]];
-  return [STAGES[stage] ?? stage.charAt(0).toUpperCase() + stage.slice(1), ""];
+  const [name, reached = ""] = stage.split(": ");
+  return [STAGES[name] ?? name.charAt(0).toUpperCase() + name.slice(1), reached];
 }
 
 /** Colour of a verdict. */

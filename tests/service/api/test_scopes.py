@@ -94,7 +94,7 @@ def test_an_upload_is_its_keys_own(service: Any) -> None:
     assert admin.client.delete(path).status_code == 204
 
 
-@pytest.mark.parametrize(("profile", "most"), [("balanced", 47), ("strong", 45), ("auto", 47), ("paper", 28.52)])
+@pytest.mark.parametrize(("profile", "most"), [("balanced", 47), ("strong", 45), ("auto", 47), ("paper", 31)])
 def test_a_mark_fainter_than_the_profiles_is_for_those_who_may_see_originals(
     service: Any, profile: str, most: float
 ) -> None:

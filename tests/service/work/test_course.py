@@ -55,6 +55,12 @@ def test_a_check_is_told_from_its_first_stage_to_its_last(marked: Marked, tmp_pa
     assert output[-1] == 1.0
 
 
+def test_what_a_stage_has_reached_is_no_stage_of_its_own() -> None:
+    total = at("embed", "prune", 0.5)
+    assert total is not None
+    assert at("embed", "prune: 37.5 dB", 0.5) == total
+
+
 def test_a_choice_takes_its_time() -> None:
     assert at("embed", "look", 0.0, profile="fast") == at("embed", "choose", 1.0, profile="fast")
     chosen = at("embed", "look", 0.0, profile="auto")

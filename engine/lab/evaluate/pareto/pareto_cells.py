@@ -205,4 +205,4 @@ def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_
     small = replace(config, view_size=CONFIG.auto.view_size)
     whole = replace(small, prune=replace(small.prune, budget_db=None))
     ground = lay_groundwork(model, key, original_sha256, whole)
-    return Rehearsing(deliver(ground, whole, Clock()), None).at(whole)
+    return Rehearsing(deliver(ground, whole, Clock())).at(whole)

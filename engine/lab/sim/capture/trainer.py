@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.lab.raster.sh_gradients import sh_colors_backward
-from engine.lab.sim.capture.adam import AdamMoments, adam_step
 from engine.lab.sim.capture.photo_loss import photo_loss
 from engine.lab.sim.model_placement import join
 from engine.model import Camera, Float32, GaussianModel, Int32
+from engine.numerics.adam import AdamMoments, adam_step
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.raster import Gradients, View, backward, draw, prepare_view, sh_colors
 

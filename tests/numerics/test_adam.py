@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.lab.sim.capture import adam
-from engine.lab.sim.capture.adam import AdamMoments, adam_step
+from engine.numerics import adam
+from engine.numerics.adam import AdamMoments, adam_step
 from tests.reference import training as twin
 from tests.threads import with_one_and_two_threads
 
