@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +33,20 @@ _FLAT_SHARE = 0.99  # of a model's rows, so that a few absurd ones do not change
 
 
 @dataclass(frozen=True, eq=False)
+class FileRows:
+    """Which rows of a file its Gaussians are, where some rows were of no use."""
+
+    rows: Int64  # (N,)
+    count: int  # of rows in the file
+
+    def spread(self, values: npt.NDArray[Any], missing: int) -> npt.NDArray[Any]:
+        """(count, ...) values (N, ...) of the Gaussians at their rows in the file, `missing` at all others."""
+        whole = np.full((self.count, *values.shape[1:]), missing, values.dtype)
+        whole[self.rows] = values
+        return whole
+
+
+@dataclass(frozen=True, eq=False)
 class GaussianModel:
     """N Gaussians as INRIA stores them (raw activations), one C-contiguous float32 array per attribute."""
 
@@ -45,6 +60,9 @@ class GaussianModel:
     # Trained to be drawn with an opacity that falls as the low pass widens a Gaussian (`RasterSettings.antialiased`);
     # files say "mip" or "antialiased". Discs never are.
     antialiased: bool = False
+    # What was taken from the centers on reading, scene units: what float32 cannot hold, of scenes in map coordinates
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    file_rows: FileRows | None = None  # None: each Gaussian is the row of its own number
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -92,17 +110,45 @@ class GaussianModel:
 
     def take(self, index: npt.NDArray[Any]) -> GaussianModel:
         """The Gaussians at an integer index or under a boolean mask, in that order."""
-        return replace(self, **{name: getattr(self, name)[index] for name in ATTRIBUTES})
+        whole = self.file_rows
+        kept = None if whole is None else FileRows(whole.rows[index], whole.count)
+        return replace(self, file_rows=kept, **{name: getattr(self, name)[index] for name in ATTRIBUTES})
 
     def with_(self, **arrays: Any) -> GaussianModel:
         """A copy with some attributes replaced."""
+        if len(arrays.get("means", self.means)) != len(self):
+            arrays = {"file_rows": None, **arrays}
         return replace(self, **arrays)
+
+    def row_of(self, index: int) -> int:
+        """The row of its file that a Gaussian is."""
+        return index if self.file_rows is None else int(self.file_rows.rows[index])
 
     def with_dc(self, dc: npt.NDArray[Any]) -> GaussianModel:
         """A copy with the DC coefficients replaced; dc is (N, 3)."""
         sh = self.sh.copy()
         sh[:, 0] = dc
         return replace(self, sh=sh)
+
+
+def joined(parts: Sequence[GaussianModel]) -> GaussianModel:
+    """One model of several, one after another, of the highest degree among them; antialiased where all are."""
+    if len(parts) == 1:
+        return parts[0]
+    rows = None
+    if any(part.file_rows is not None for part in parts):
+        each = [part.file_rows or FileRows(np.arange(len(part)), len(part)) for part in parts]
+        starts = np.cumsum([0, *(one.count for one in each)])
+        rows = FileRows(np.concatenate([one.rows + at for one, at in zip(each, starts, strict=False)]), int(starts[-1]))
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES if name != "sh"
+    }
+    whole["sh"] = np.zeros((len(whole["means"]), max(part.sh.shape[1] for part in parts), 3), dtype=np.float32)
+    start = 0
+    for part in parts:
+        whole["sh"][start : start + len(part), : part.sh.shape[1]] = part.sh
+        start += len(part)
+    return GaussianModel(**whole, antialiased=all(part.antialiased for part in parts), file_rows=rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +180,12 @@ class Camera:
         """The same view with another number of pixels (intrinsics scaled per axis)."""
         sx, sy = width / self.width, height / self.height
         return Camera(self.viewmat, np.diag([sx, sy, 1.0]) @ self.K, width, height)
+
+    def relative_to(self, origin: npt.ArrayLike) -> Camera:
+        """The same view of a scene whose origin moves to a point."""
+        viewmat = self.viewmat.copy()
+        viewmat[:3, 3] += viewmat[:3, :3] @ np.asarray(origin, dtype=np.float64)
+        return Camera(viewmat, self.K, self.width, self.height)
 
     def with_side(self, side: int) -> Camera:
         """The same view with `side` pixels along its longer side."""

@@ -16,6 +16,7 @@ from fastapi.staticfiles import StaticFiles
 
 from service.acquisitions.endpoints import router as acquisitions
 from service.assets.endpoints import router as assets
+from service.assets.publishing import router as publishing
 from service.assets.resolution import router as credentials
 from service.claims.endpoints import packs
 from service.claims.endpoints import router as claims
@@ -53,6 +54,7 @@ ROUTERS = (
     ("disputes", disputes),
     ("jobs", jobs),
     ("assets", assets),
+    ("credentials", publishing),
     ("credentials", credentials),
     ("claims", claims),
     ("packs", packs),

@@ -18,8 +18,9 @@ import sqlalchemy as sa
 from service.core import Service
 from service.db.schema import assets
 from service.jobs.port import Run
+from service.processes import Reply
 
-__all__ = ["screen"]
+__all__ = ["scores", "screen"]
 
 MOST_MISSING = 32
 """Assets that the kept index may lack: every screening reads their entries anew."""
@@ -38,12 +39,25 @@ def screen(
     """
     if not rows:
         return []
+    found = _ask(service, run, suspect, rows)
+    chosen = [*(found["alike"] or (found["likely"] if likely else ())), *found["unknown"]]
+    order = {original: number for number, original in reversed(list(enumerate(chosen)))}
+    return sorted((row for row in rows if row.original_sha256 in order), key=lambda row: order[row.original_sha256])
+
+
+def scores(service: Service, run: Run, suspect: Mapping[str, Any], rows: Sequence[Any]) -> dict[str, int]:
+    """Score (50 or 100) of each alike original of these rows; nothing of those that cannot be compared."""
+    return dict(_ask(service, run, suspect, rows)["scores"]) if rows else {}
+
+
+def _ask(service: Service, run: Run, suspect: Mapping[str, Any], rows: Sequence[Any]) -> Reply:
+    """The reply of the task `screen`; the kept index is renewed first where it lacks much."""
     folder = service.settings.data_dir / "catalogue"
     entries = _entries(service)
     kept, known = _kept(folder)
     if len(entries.keys() - known) > MOST_MISSING:
         kept, known = _write(service, run, folder, kept, known, entries)
-    found = run.work(
+    return run.work(
         "screen",
         {
             **suspect,
@@ -52,9 +66,6 @@ def screen(
             "among": sorted({row.original_sha256 for row in rows}),
         },
     )
-    chosen = [*(found["alike"] or (found["likely"] if likely else ())), *found["unknown"]]
-    order = {original: number for number, original in reversed(list(enumerate(chosen)))}
-    return sorted((row for row in rows if row.original_sha256 in order), key=lambda row: order[row.original_sha256])
 
 
 def _entries(service: Service) -> dict[str, str]:

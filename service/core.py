@@ -94,6 +94,13 @@ class Service:
         """Path where a step can read a blob, if there is one."""
         return str(self.blobs.local(sha256, run.folder)) if sha256 else None
 
+    def local_model(self, request: Mapping[str, Any], run: Run) -> dict[str, Any]:
+        """The model of a job's request as tasks take it, with its sender's name for it: jobs of earlier versions have
+        none."""
+        model = self.local(request["model"], run)
+        names = (request.get("names") or [""]) if model else [""]
+        return {"model": model, "spz_frame": request.get("spz_frame", "auto"), "name": names[0]}
+
     def local_or_gone(self, sha256: str, run: Run) -> str:
         """The same of a blob that others rely on, too; "" where it is gone, for its reader to report."""
         try:

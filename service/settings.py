@@ -67,6 +67,9 @@ class Settings(BaseSettings):
         description="Marks of other owners are searched for in an upload, at a random moment within this time after it"
         " was marked: the queue, as its uploader sees it, reveals nothing of them.",
     )
+    matches_per_hour: int = Field(
+        60, gt=0, description="Searches for manifests by content that an API key may make in an hour."
+    )
     queued_jobs: int = Field(200, gt=0, description="Jobs of a tenant that may wait or run at a time.")
     conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")
     open_uploads: int = Field(100, gt=0, description="Uploads of a tenant that may be under way at a time.")

@@ -34,6 +34,12 @@ def convert(
     levels: Annotated[
         int, typer.Option("--levels", metavar="N", min=1, max=8, help="Levels of detail of streamed SOG.")
     ] = 1,
+    rights: Annotated[
+        str, typer.Option("--rights", metavar="TEXT", help="Statement of rights that a .glb carries (XMP, dc:rights).")
+    ] = "",
+    provenance: Annotated[
+        str, typer.Option("--provenance", metavar="URL", help="Address of its Content Credentials, for a .glb to name.")
+    ] = "",
     spz_frame: SpzFrame = "auto",
     json: Json = False,
 ) -> int:
@@ -41,12 +47,13 @@ def convert(
 
     A mark stays in what is converted. Each further level of detail is merged
     from the one before it, as publishing tools do, to a quarter of its
-    Gaussians. A clip that moves stays a clip: only .ply holds it.
+    Gaussians. A clip that moves stays a clip: only .ply holds it. What a .glb
+    says of rights and provenance is a statement, which 'mark3dgs inspect' shows.
 
     Examples:
 
       mark3dgs convert scene.ksplat scene.ply
-      mark3dgs convert scene.ply scene.glb
+      mark3dgs convert scene.ply scene.glb --rights "(c) 2026 Studio Acme"
       mark3dgs convert scene.ply published/lod-meta.json --levels 3
     """
     console = Console(json)
@@ -55,6 +62,11 @@ def convert(
     if levels > 1 and not streamed:
         raise InputError(f"levels of detail are those of streamed SOG: name the output {STREAMED}, in a new folder")
     kind = STREAMED if streamed else format_for(out)
+    from engine.formats.gltf.metadata import Metadata, annotate_glb
+
+    metadata = Metadata(rights, provenance)
+    if metadata and kind != "glb":
+        raise InputError(f"rights and provenance are stated in a .glb, not in {str(out)!r}")
     if streamed:
         check_folder(out.parent)
     else:
@@ -78,7 +90,12 @@ def convert(
         else:
             with whole_file(out) as part:
                 bytes_out = write_scene(scene, part, kind)
+                if metadata:
+                    pieces = annotate_glb(part.read_bytes(), metadata)
+                    part.write_bytes(b"".join(pieces))
+                    bytes_out = sum(map(len, pieces))
             counts = [len(scene)]
+    notes = notes_of(scene, kind)
     report = {
         "out": str(out),
         "format_in": loaded.format,
@@ -88,7 +105,7 @@ def convert(
         "gaussians": counts[0],
         "levels": counts,
         "repairs": [asdict(repair) for repair in loaded.repairs],
-        "notes": notes_of(scene, kind),
+        "notes": notes,
         "seconds": time.perf_counter() - began,
     }
     say_repairs(console, loaded.repairs)
@@ -96,7 +113,7 @@ def convert(
         f"{model} ({loaded.format}) -> {out} ({kind}): {' + '.join(f'{count:,}' for count in counts)} Gaussians,"
         f" {loaded.source_bytes:,} -> {bytes_out:,} bytes"
     )
-    for note in notes_of(scene, kind):
+    for note in notes:
         console.say(f"  note: {note}")
     console.emit(report)
     return 0

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from engine.usecases.mark import MarkOutput, MarkReport
 
 COPY = "{copy}"
+TOLD_DB = 0.05
+"""Of what the format rounds away: less does not show in the numbers."""
 """In the name of a file: the recipient's name."""
 
 
@@ -239,19 +241,25 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report.seconds_by_stage.items())
     made = report.mark.embedding
     capacity = f"capacity: {made.picture_bits:,} per image, {made.capacity_bits:,} per model"
+    before, written = made.psnr_total_worst_view, report.mark.psnr_as_written
+    told = f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (watermark alone, worst key view)"
+    rounded = f"; as .{report.mark.format_out} {written:.2f} dB" if abs(written - before) >= TOLD_DB else ""
     lines = {
         "payload": f"{made.message}, {made.bits} bits ({capacity})",
-        "fidelity": f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (watermark alone, worst key view)",
+        "fidelity": told + rounded,
         "in total": f"{made.psnr_total_worst_view:.2f} dB, with pruning and quantization",
         "Gaussians": f"{made.gaussians_in:,} -> {made.gaussians_out:,}",
-        "strength": f"predicted: {made.predicted_z_per_bit:.0f} sigma per bit from one JPEG-10 image",
+        "strength": (
+            f"predicted z of a claim from one picture: {made.predicted_z_viewer:.0f} (a viewer's screenshot, JPEG 80),"
+            f" {made.predicted_z_render:.0f} (own render of 800 x 800 pixels, JPEG 10); they vary with the view"
+        ),
         "files": f"model {size(report.mark.bytes_out)}, record {size(report.mark.record_bytes)}",
         "time": f"{report.seconds:.1f} s: {stages}",
     }
     if (choice := made.choice) is not None:
         lines["chosen"] = (
             f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: predicted z of one"
-            f" JPEG-10 image {choice.predicted_z:.0f}, required {choice.wanted_z:.0f}"
+            f" own render at JPEG 10 {choice.predicted_z:.0f}, required {choice.wanted_z:.0f}"
         )
         if choice.spent is not None:
             lines["allowed"] = _spending(choice.spent)

@@ -47,8 +47,8 @@ def inspect(
     """Describe a model file, and list what was repaired to read it.
 
     Content Credentials (C2PA) in the file, or in its sidecar file (.c2pa), are
-    shown, too. They are their signer's statement: only 'mark3dgs verify' shows
-    whether a mark is there.
+    shown, too, and what a glTF states of rights and provenance (XMP). They are
+    statements: only 'mark3dgs verify' shows whether a mark is there.
 
     Example:
 
@@ -58,14 +58,18 @@ def inspect(
     began = time.perf_counter()
     anchors = "" if trust is None else _pem(trust)
     from engine.credentials.reading import read_credentials
+    from engine.formats.gltf.metadata import read_metadata
     from engine.scenes.scene_files import read_scene
 
     with console.progress() as progress:
         progress("read", 0.0)
         loaded = read_scene(model, spz_frame=spz_frame)
     credentials = read_credentials(model, loaded.format, anchors)
+    is_gltf = loaded.format == "glb" and model.is_file()
+    metadata = read_metadata(model.read_bytes(), file=str(model)) if is_gltf else None
     report = describe_model(loaded) | {
         "file": str(model),
+        "metadata": None if metadata is None else asdict(metadata),
         "credentials": None if credentials is None else credentials.to_json(),
         "seconds": time.perf_counter() - began,
     }
@@ -84,6 +88,9 @@ def inspect(
         console.say(f"  repaired    {repair['text']}")
     if not report["repairs"]:
         console.say("  repaired    nothing")
+    for name, text in (report["metadata"] or {}).items():
+        if text:
+            console.say(f"  {name:<12}{text}")
     if credentials is not None:
         _say_credentials(console, credentials)
     console.emit(report)
@@ -98,7 +105,7 @@ def describe_model(loaded: Loaded) -> Values:
     from engine.formats.modes import mode_of
 
     model = loaded.model
-    extent = measure_extent(model)
+    extent, origin = measure_extent(model), np.array(model.origin)
     return {
         "format": loaded.format,
         "bytes": loaded.source_bytes,
@@ -106,8 +113,8 @@ def describe_model(loaded: Loaded) -> Values:
         "gaussians": len(model),
         "sh_degree": model.sh_degree,
         "render_mode": mode_of(model) or "default",
-        "bounds": [model.means.min(axis=0).tolist(), model.means.max(axis=0).tolist()],
-        "center": extent.center.tolist(),
+        "bounds": [(edge(model.means, axis=0) + origin).tolist() for edge in (np.min, np.max)],
+        "center": (extent.center + origin).tolist(),
         "radius": extent.radius,
         "is_room": extent.is_room,
         "opacity_median": float(np.median(model.opacities)),

@@ -71,6 +71,8 @@ def render(
     if save_camera is not None:
         check_target(save_camera)
 
+    import numpy as np
+
     from engine.flows.views.view_set import early_stop, render_early
     from engine.formats import read_model, write_cameras
     from engine.raster import render as draw
@@ -91,7 +93,7 @@ def render(
     with whole_file(out) as part:
         write_picture(image, part, out)
     if save_camera is not None:
-        write_cameras([chosen], save_camera)
+        write_cameras([chosen.relative_to(np.negative(loaded.model.origin))], save_camera)
     report = {
         "out": str(out),
         "width": chosen.width,
@@ -121,5 +123,5 @@ def choose_camera(model: GaussianModel, camera_file: Path | None, view: int, siz
     cameras = read_cameras(camera_file)
     if view >= len(cameras):
         raise InputError(f"{str(camera_file)!r} holds {len(cameras)} cameras, counted from 0; got view {view}")
-    chosen = cameras[view]
+    chosen = cameras[view].relative_to(model.origin)
     return chosen if size is None else chosen.resized(*size)

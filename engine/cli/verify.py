@@ -222,8 +222,8 @@ def write_regions(
 ) -> None:
     """The map, the numbers and the indices, in a new folder.
 
-    `regions.npz`: of each Gaussian of the suspect model, in its order, `piece` and `region` (-1: nothing of the asset)
-    and `state`; of each of the asset's, in its record's order, `asset_state`; `states` names what the numbers mean.
+    `regions.npz`: of each row of the suspect's file, `piece` and `region` (-1: nothing of the asset) and `state`; of
+    each of the asset's Gaussians, in its record's order, `asset_state`; `states` names what the numbers mean.
     """
     import numpy as np
 
@@ -235,6 +235,9 @@ def write_regions(
         draw_report(report, suspect, opened, found).save(part / "regions.png")
         (part / "regions.json").write_text(json.dumps(describe(report, opened), indent=1))
         piece, region, state = report.of_suspect
+        if suspect.model is not None and (file_rows := suspect.model.file_rows) is not None:
+            piece, region = (file_rows.spread(values, -1) for values in (piece, region))
+            state = file_rows.spread(state, State.UNSEEN)
         names = np.array([each.name.lower() for each in State])
         rows = {"piece": piece, "region": region, "state": state, "asset_state": report.states, "states": names}
         np.savez_compressed(part / "regions.npz", allow_pickle=False, **rows)

@@ -56,14 +56,15 @@ def bound_record(value: str) -> str:
 _STANDARD = str.maketrans("-_ ", "+/+")  # an unescaped plus sign comes out of an address as a space
 
 
-def describe(record_id: str) -> Json:
+def describe(record_id: str, manifest_id: str = "") -> Json:
     """Definition of a manifest, as c2pa's builder takes it: an unmarked model was opened, and marked.
 
-    Nothing of recipient, label or original is in it.
+    Nothing of recipient, label or original is in it. `manifest_id` ("urn:c2pa:" and a UUID) is drawn where it is "".
     """
     agent = {"name": "Mark3DGS", "version": version("mark3dgs")}
     block = {"scope": {}, "value": binding_value(record_id)}
-    return {
+    label = {"label": manifest_id} if manifest_id else {}
+    return label | {
         "claim_version": 2,
         "claim_generator_info": [agent],
         "ingredients": [

@@ -13,6 +13,7 @@ from engine.credentials.manifest import EMBEDS, describe, embedded_manifest, mod
 from engine.credentials.native import SETTINGS, load, parse
 from engine.credentials.signer import Signer
 from engine.errors import InputError
+from engine.numerics.plain import Json
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -39,25 +40,25 @@ def sign_into(source: Path, target: Path, record_id: str, signer: Signer) -> Man
     if embedded_manifest(data, str(source)) is not None:
         raise InputError(f"{str(source)!r} holds a manifest already: another would replace it")
     with target.open("w+b") as out:
-        store = _sign(io.BytesIO(data), out, EMBEDS, record_id, signer, embed=True)
+        store = _sign(io.BytesIO(data), out, EMBEDS, describe(record_id), signer, embed=True)
     return _checked(target, EMBEDS, store)
 
 
-def sign_sidecar(source: Path, kind: str, record_id: str, signer: Signer) -> Manifest:
+def sign_sidecar(source: Path, kind: str, record_id: str, signer: Signer, manifest_id: str = "") -> Manifest:
     """The manifest of a model of any format but .sog, for a sidecar file (same name, ending .c2pa).
 
-    InputError as `sign_into`.
+    `manifest_id` is given where the model names it already. InputError as `sign_into`.
     """
     with source.open("rb") as opened, TemporaryFile() as copy:  # c2pa writes the model once more, unchanged
-        store = _sign(opened, copy, kind, record_id, signer, embed=False)
+        store = _sign(opened, copy, kind, describe(record_id, manifest_id), signer, embed=False)
     return _checked(source, kind, store)
 
 
-def _sign(source: BinaryIO, out: BinaryIO, kind: str, record_id: str, signer: Signer, *, embed: bool) -> bytes:
+def _sign(source: BinaryIO, out: BinaryIO, kind: str, said: Json, signer: Signer, *, embed: bool) -> bytes:
     c2pa = load()
     try:
         with _signer(c2pa, signer) as by, c2pa.Context.from_dict(SETTINGS) as context:
-            builder = c2pa.Builder(json.dumps(describe(record_id)), context)
+            builder = c2pa.Builder(json.dumps(said), context)
             if not embed:
                 builder.set_no_embed()
             store: bytes = builder.sign(by, model_type(kind), source, out)

@@ -10,11 +10,12 @@ import numpy as np
 
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats.kinds import FORMATS, KINDS, kind_of
+from engine.formats.losses import losses
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.strays import unheld_rows
 from engine.model import GaussianModel
 
-_SAY_NOTHING = ("splat", "spz", "glb")
+_SAY_NOTHING = ("splat", "spz", "glb", "usda", "usdc", "usdz")
 """Formats that cannot declare discs; all but SPZ, which has a bit, cannot declare antialiasing either."""
 
 
@@ -44,15 +45,29 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
             " far too heavily unless set to it; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
-    strays = np.flatnonzero(unheld_rows(model, format))
+    if any(model.origin) and format != "ply":
+        x, y, z = model.origin
+        notes.append(
+            f".{format} rounds centers in map coordinates (float32 by up to {_coarse(model):.2g}): they were written"
+            f" relative to ({x:.0f}, {y:.0f}, {z:.0f}), which is not in the file; .ply keeps it"
+        )
+    unheld = unheld_rows(model, format)
+    notes += losses(model.take(~unheld) if unheld.any() else model, format)
+    strays = np.flatnonzero(unheld)
     if len(strays):
         far = float(np.abs(model.means[strays]).max())
         noun = "Gaussian" if len(strays) == 1 else "Gaussians"
         notes.append(
-            f"{len(strays)} {noun} (first in row {strays[0]}), up to {far:.3g} from the others, left out: .{format}"
-            " rounds all others away where it holds them; .ply, .splat and .glb hold both"
+            f"{len(strays)} {noun} (first in row {model.row_of(strays[0])}), up to {far:.3g} from the others, left out:"
+            f" .{format} rounds all others away where it holds them; .ply, .splat and .glb hold both"
         )
     return notes
+
+
+def _coarse(model: GaussianModel) -> float:
+    """By how much float32 rounds the farthest absolute center, scene units."""
+    farthest = np.abs(model.means.astype(np.float64) + model.origin).max()
+    return float(np.spacing(np.float32(farthest)) / 2)
 
 
 def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:

@@ -25,6 +25,7 @@ class Kind:
     read: Callable[[bytes, str, str], Read]  # (content, file, axes of an SPZ file) -> model and repairs
     # model of at least one Gaussian -> pieces of the file; None for a format that is only read
     write: Callable[[GaussianModel], Iterable[bytes]] | None
+    extra: bool = False  # whether reading and writing take packages that are not always installed
 
 
 def _read_spz(data: bytes, file: str, spz_frame: str) -> Read:
@@ -83,12 +84,32 @@ def _is_gltf(data: bytes, file: str) -> bool:
     return looks_like_gltf(data)
 
 
+def _usd_kind(kind: str) -> Kind:
+    def is_one(data: bytes, file: str) -> bool:
+        from engine.formats.usd.scene import kind_of_usd
+
+        return data.startswith(_USD) and kind_of_usd(data) == kind
+
+    def read(data: bytes, file: str, spz_frame: str) -> Read:
+        from engine.formats.usd.scene import read_usd
+
+        return read_usd(data, file=file)
+
+    def write(model: GaussianModel) -> Iterable[bytes]:
+        from engine.formats.usd.scene import write_usd
+
+        return [write_usd(model, kind)]
+
+    return Kind(kind, is_one, read, write, extra=True)
+
+
 def _is_ply(data: bytes, file: str, compressed: bool) -> bool:
     return data.startswith((b"ply\n", b"ply\r")) and is_compressed(parse_header(data, file=file)) is compressed
 
 
 _SPZ, _SOG = (b"\x1f\x8b", b"NGSP"), (b"PK",)
-_MAGICS = (*_SPZ, *_SOG, b"ply\n", b"ply\r", b"glTF")
+_USD = (b"PXR-USDC", b"#usda", b"PK")
+_MAGICS = (*_SPZ, *_USD, b"ply\n", b"ply\r", b"glTF")
 SPLAT = Kind(
     "splat",
     lambda data, file: looks_like_splat(data),
@@ -111,23 +132,29 @@ KINDS = (
     ),
     Kind("spz", lambda data, file: data.startswith(_SPZ), _read_spz, _write_spz),
     Kind("sog", lambda data, file: data.startswith(_SOG) and b"meta.json" in data, _read_sog, _write_sog),
+    *map(_usd_kind, ("usda", "usdc", "usdz")),
     Kind("glb", _is_gltf, _read_gltf, _write_glb),
     # those without a magic come last
     Kind("ksplat", _is_ksplat, _read_ksplat, None),
     SPLAT,
 )
 
-FORMATS = tuple(kind.name for kind in KINDS if kind.write)
-"""What is read and written; also the file name's ending of each."""
+FORMATS = tuple(kind.name for kind in KINDS if kind.write and not kind.extra)
+"""What is always read and written; also the file name's ending of each."""
 READ = tuple(kind.name for kind in KINDS)
 """What is read."""
 
 
 def kind_of(name: str) -> Kind:
-    """The format whose ending a file's name has."""
+    """The format whose ending a file's name has; InputError where its packages are not installed."""
     writable = [kind for kind in KINDS if kind.write]
+    lower = name.lower() + ("c" if name.lower().endswith(".usd") else "")
     for kind in sorted(writable, key=lambda kind: len(kind.name), reverse=True):  # .compressed.ply before .ply
-        if name.lower().endswith("." + kind.name):
+        if lower.endswith("." + kind.name):
+            if kind.extra:
+                from engine.formats.usd.scene import load_usd
+
+                load_usd(f"writing .{kind.name}")
             return kind
-    endings = ", ".join("." + format for format in FORMATS)
+    endings = ", ".join("." + kind.name for kind in writable)
     raise UnsupportedFormatError(f"the name ends in none of {endings}", file=name)

@@ -71,13 +71,9 @@ _KINDS = (
     ),
     _Other("is a Postshot project: export the scene as .ply (File > Export)", endings=(".psht",)),
     _Other(
-        "is an OpenUSD scene, which is not read here: export its Gaussians as .ply",
-        (b"PXR-USDC", b"#usda"),
-        _zip_with(b".usdc", b".usda", b".usd"),
-        (".usd", ".usda", ".usdc", ".usdz"),
-    ),
-    _Other(
-        "is a list of 3D Tiles: give one of the .glb files with Gaussians that it names",
+        "is a list of 3D Tiles, or a tile of a version before 1.1: give one of the .glb files with Gaussians that a"
+        " tileset.json names",
+        (b"b3dm", b"i3dm", b"pnts", b"cmpt"),
         holds=_json_with(b"geometricError"),
     ),
     _Other(

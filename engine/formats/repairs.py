@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
-from engine.model import Bool, Float32, GaussianModel
+from engine.model import Bool, FileRows, Float32, GaussianModel
 
 INFINITE_OPACITY_LOGIT = float(np.log(511.0))
 """An opacity of exactly 1 (or 0) becomes 1 - 1/512 (or 1/512): such values come from 8-bit alpha, whose last
@@ -21,6 +21,9 @@ LOG_SCALE_RANGE = (-30.0, 20.0)
 
 MAGNITUDE_LIMIT = 1e12
 """A centre or a coefficient beyond it is no datum: its square times a focal length leaves float32."""
+
+VISIBLE_ROUNDING = 1 / 20
+"""Of a Gaussian's size: what a center may be rounded by before it is worth a word."""
 
 UNIT_TOLERANCE = 1e-6
 """A quaternion this near to unit length keeps its bits: normalising it again would only add rounding."""
@@ -61,12 +64,13 @@ def clean(
     *,
     file: str,
     element: str = "vertex",
+    rows: FileRows | None = None,
 ) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Turn decoded arrays into a model that every later stage may trust, and tell what was mended.
 
     `means` (N, 3); `log_scales` (N, 3), -inf for a scale of zero; `quats` (N, 4) w, x, y, z of any length;
     `opacity_logits` (N,), infinite for an opacity of exactly one or zero; `sh` (N, K, 3). `element` is what the format
-    calls its list of Gaussians, for messages.
+    calls its list of Gaussians, for messages; `rows` are those of the file where some were left out before.
 
     Rows with a NaN, or with a centre, coefficient or scale that is infinite, are dropped; infinite opacities, zero
     scales, absurd scales and zero quaternions become finite; quaternions become unit vectors. The order is the file's.
@@ -87,7 +91,8 @@ def clean(
         "sh": _out_of_bounds(sh, MAGNITUDE_LIMIT),
     }
     bad: Bool = np.any(list(faults.values()), axis=0)
-    log = _Log()
+    log = _Log(rows)
+    origin = np.arange(len(bad)) if rows is None else rows.rows
     if bad.any():
         first = int(np.argmax(bad))
         attribute = next(name for name, fault in faults.items() if fault[first])
@@ -95,31 +100,31 @@ def clean(
         prop, value = _name_fault(attribute, arrays.get(attribute, opacity_logits[:, None])[first])
         if bad.all():
             message = f"no Gaussian is usable; the value here is {value}"
-            raise FormatError(message, file=file, element=element, row=first, prop=prop)
+            raise FormatError(message, file=file, element=element, row=int(origin[first]), prop=prop)
         log.note(
             "rows_dropped", np.flatnonzero(bad), f"left out, because a value is not a finite number ({prop} = {value})"
         )
-        log.origin = np.flatnonzero(~bad)
+        log.rows = rows = FileRows(origin[~bad], len(bad) if rows is None else rows.count)
         means, log_scales, quats, opacity_logits, sh = (
             array[~bad] for array in (means, log_scales, quats, opacity_logits, sh)
         )
     log_scales = _clamp_scales(log_scales, log)
     opacity_logits = _clamp_opacities(opacity_logits, log)
     quats = _normalize(quats, log)
-    return GaussianModel(means, log_scales, quats, opacity_logits, sh), tuple(log.repairs)
+    return GaussianModel(means, log_scales, quats, opacity_logits, sh, file_rows=rows), tuple(log.repairs)
 
 
 class _Log:
-    """Collects repairs; `origin` maps the rows at hand to those of the file once some were dropped."""
+    """Collects repairs, by rows of the file."""
 
-    def __init__(self) -> None:
+    def __init__(self, rows: FileRows | None) -> None:
         self.repairs: list[Repair] = []
-        self.origin: npt.NDArray[np.intp] | None = None
+        self.rows = rows
 
     def note(self, code: str, rows: npt.NDArray[np.intp], what: str) -> None:
         if not len(rows):
             return
-        first = rows[0] if self.origin is None else self.origin[rows[0]]
+        first = rows[0] if self.rows is None else self.rows.rows[rows[0]]
         noun = "Gaussian" if len(rows) == 1 else "Gaussians"
         self.repairs.append(Repair(code, len(rows), f"{len(rows)} {noun} (first in row {first}): {what}"))
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from engine.formats.repairs import VISIBLE_ROUNDING
 from engine.formats.spz.attributes import choose_fractional_bits
 from engine.model import Bool, Float32, Float64, GaussianModel
 
@@ -12,9 +13,6 @@ STRAY_SHARE = 0.002
 
 STRAY_DISTANCE = 64.0
 """Times the extent of all others. In real scenes with their sky the outermost lie within 3 times."""
-
-HELD_ROUNDING = 1 / 20
-"""Of the median size, as far as strays may make a format round the centers of all others."""
 
 
 def stray_rows(means: Float32) -> Bool:
@@ -27,11 +25,11 @@ def stray_rows(means: Float32) -> Bool:
 
 
 def unheld_rows(model: GaussianModel, format: str) -> Bool:
-    """(N,) the strays that a format cannot hold without rounding the others by more than `HELD_ROUNDING`."""
+    """(N,) the strays that a format cannot hold without rounding the others by more than `VISIBLE_ROUNDING`."""
     strays = stray_rows(model.means) if format in _STEPS else np.zeros(len(model), dtype=np.bool_)
     if strays.any():
         size = float(np.exp(np.median(model.log_scales[~strays].astype(np.float64).mean(axis=1))))
-        if _STEPS[format](model.means.astype(np.float64)) / 2 <= HELD_ROUNDING * size:
+        if _STEPS[format](model.means.astype(np.float64)) / 2 <= VISIBLE_ROUNDING * size:
             strays[:] = False
     return strays
 

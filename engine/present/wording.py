@@ -100,7 +100,7 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
         if claim["would_be_claim_if_attested"]:
             return f"{_would(claim, form)}." + (f" {derived}." if claim["derivation"]["derived"] else "")
         if claim["derivation"]["derived"]:
-            return f"{derived}. The evidence is not sufficient to say whether it carries this copy's watermark."
+            return f"{derived}. The evidence is not sufficient to say whether it carries the registered watermark."
         return f"{_nothing_of(claim)} was recognized in {it}."
     named = (
         claim["copy"] and claim.get("copy_named") is not False

@@ -19,6 +19,7 @@ from engine.formats.file_writing import encode_model, loss_note, write_whole
 from engine.formats.guards import opening, read_regular
 from engine.formats.model_reading import weigh_files
 from engine.formats.ply.header import MAX_HEADER_BYTES
+from engine.formats.ply.points import read_points
 from engine.formats.repairs import Repair
 from engine.model import GaussianModel
 from engine.scenes.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
@@ -32,6 +33,7 @@ __all__ = [
     "CODEBOOK",
     "FOLDERS",
     "FRAMES",
+    "POINTS",
     "SPACETIME",
     "Loaded",
     "Scene",
@@ -40,6 +42,7 @@ __all__ = [
     "notes_of",
     "output_of",
     "read_scene",
+    "read_suspect",
     "write_scene",
     "written_as",
 ]
@@ -48,6 +51,8 @@ Scene = GaussianModel | SpacetimeModel | FrameSequence | CodebookModel
 
 SPACETIME, FRAMES, CODEBOOK = "spacetime", "frames", "codebook"
 """What the formats of the others are called: a clip is one ``.ply``, or a folder of a ``.ply`` a moment."""
+POINTS = "points"
+"""A point cloud, or the corners of a mesh: a suspect only."""
 FOLDERS = (FRAMES, CODEBOOK)
 CLIPS = (SPACETIME, FRAMES)
 
@@ -109,6 +114,19 @@ def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_fra
         )
         repairs = (*repairs, Repair("deformation_beside", 1, text))
     return Loaded(loaded.model, loaded.format, repairs, loaded.source_bytes, loaded.sha256)
+
+
+def read_suspect(path: str | os.PathLike[str], *, name: str | None = None, spz_frame: str = "auto") -> Loaded:
+    """As `read_scene`; colored points are taken as Gaussians, too, with a repair that says so (`POINTS`)."""
+    try:
+        return read_scene(path, name=name, spz_frame=spz_frame)
+    except UnsupportedFormatError:
+        file = name or str(path)
+        with opening(Path(path), file):
+            data = b"" if Path(path).is_dir() else read_regular(Path(path), file)
+        if (found := read_points(data, file=file)) is None:
+            raise
+        return Loaded(found[0], POINTS, found[1], len(data), hashlib.sha256(data).hexdigest())
 
 
 def _read_folder(folder: Path, kind: str) -> Loaded:

@@ -8,7 +8,7 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import Element, parse_header
 from engine.formats.repairs import MAGNITUDE_LIMIT, Repair, clean
-from engine.model import Float32
+from engine.model import FileRows, Float32
 from engine.scenes.spacetime import SpacetimeModel
 
 __all__ = ["is_spacetime", "read_spacetime_ply", "write_spacetime_ply"]
@@ -73,7 +73,8 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
         bad |= ~(np.abs(values) <= MAGNITUDE_LIMIT).all(axis=1)
     if bad.all():
         raise FormatError("no Gaussian is usable: each has a value that is no number", file=file, row=0)
-    if bad.any():
+    rows = FileRows(np.flatnonzero(~bad), len(bad)) if bad.any() else None
+    if rows is not None:
         text = f"{int(bad.sum())} Gaussians (first in row {int(np.argmax(bad))}): left out, a value is no number"
         repairs.append(Repair("rows_dropped", int(bad.sum()), text))
         arrays = {name: values[~bad] for name, values in arrays.items()}
@@ -83,9 +84,8 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
         repairs.append(Repair("lifetimes_clamped", int(wide.sum()), text))
         arrays["trbf_scale"] = np.clip(arrays["trbf_scale"], -TRBF_SCALE_LIMIT, TRBF_SCALE_LIMIT)
     unturned = np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (len(arrays["means"]), 1))
-    model, mended = clean(
-        arrays["means"], arrays["log_scales"], unturned, arrays["opacity_logits"], arrays["colors"][:, None], file=file
-    )
+    plain = (arrays["means"], arrays["log_scales"], unturned, arrays["opacity_logits"], arrays["colors"][:, None])
+    model, mended = clean(*plain, file=file, rows=rows)
     arrays |= {"log_scales": model.log_scales, "opacity_logits": model.opacity_logits}
     return SpacetimeModel(**arrays), (*repairs, *mended)
 

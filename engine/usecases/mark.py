@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 __all__ = ["MarkAnswer", "MarkOutput", "MarkReport", "MarkRequest", "mark"]
 
 
+_EXACT = ("ply", "glb")
+"""Formats that keep all of a model to float32's rounding at least: not worth a picture."""
+
+
 @dataclass(frozen=True)
 class MarkOutput:
     """Where one recipient's files go; InputError where both have one name."""
@@ -74,6 +78,9 @@ class MarkReport(Report):
     format_out: str
     profile: str
     repairs: tuple[Repair, ...]  # what was mended on loading
+    psnr_as_written: float
+    """dB of the file read back, against the original, in the key view that shows most of the mark; where the file holds
+    every bit of the marked model, its `psnr_total_worst_view`."""
     notes: list[str]  # what the owner should know of the file
     seconds: float
     seconds_by_stage: dict[str, float] = field(default_factory=dict)
@@ -132,6 +139,7 @@ def mark(
         # The record comes first: a record without its model is harmless, a marked model without it is lost.
         with whole_output(output.model, kind) as model_part:
             bytes_out = write_scene(scene, model_part, kind)
+            as_written = _psnr_as_written(scene, made, kind, model_part)
             with whole_file(output.record, overwrite=request.overwrite) as record_part:
                 write_secret(record_part, sealed)
         ended = time.perf_counter()
@@ -144,9 +152,20 @@ def mark(
             format_out=kind,
             profile=request.profile,
             repairs=loaded.repairs,
+            psnr_as_written=as_written,
             notes=notes_of(scene, kind),
             seconds=ended - began,
             seconds_by_stage=stages | made.report.seconds_by_stage | {"write": ended - started},
         )
         yield MarkAnswer(output, scene, made, loaded, report)
         began, stages = time.perf_counter(), {}
+
+
+def _psnr_as_written(scene: Scene, made: Embedding, kind: str, file: Path) -> float:
+    """See `MarkReport.psnr_as_written`: a format that rounds is read back, and drawn once."""
+    from engine.formats import read_model
+    from engine.model import GaussianModel
+
+    if not isinstance(scene, GaussianModel) or kind in _EXACT:
+        return made.report.psnr_total_worst_view
+    return made.worst_view.psnr_of(read_model(file).model)

@@ -74,9 +74,9 @@ class SuspectFiles:
             from engine.flows.verify.search import Suspect
 
             return ReadSuspect(Suspect(None, seen, known))
-        from engine.scenes.scene_files import read_scene
+        from engine.scenes.scene_files import read_suspect
 
-        loaded = read_scene(self.paths[0], spz_frame=self.spz_frame)
+        loaded = read_suspect(self.paths[0], spz_frame=self.spz_frame)
         from engine.flows.verify.search import Suspect  # after the file: to import it takes as long as to read it
 
         return ReadSuspect(Suspect(loaded.model), loaded.format, loaded.repairs)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -235,24 +235,30 @@ def decide(
     else:
         verdict = Verdict.INCONCLUSIVE
     # 6. Name what an inconclusive answer lacks.
+    attested_z = z_threshold(config.rate_if_attested or config.false_claim_rate, tries)
     missing = ""
     if verdict is Verdict.INCONCLUSIVE:
-        enough = strength >= config.power or doubtful
-        if doubtful and z > (1.0 - 1e-9) * loudest:  # the evidence itself says what a mark would give
-            missing = _more((threshold / z) ** 2)
+        needed = _Needed(threshold, attested_z, doubtful and z > (1.0 - 1e-9) * loudest)
+        if needed.seen:  # the evidence itself says what a mark would give
+            missing = _short(z, needed, known.derivation, config)
         elif not sums.expected_z > 0:
             missing = "no part of the asset could be measured in the suspect"
         elif not known.derivation.derived:
             missing = "too little of the asset was recognized in the suspect"
+        elif doubtful:
+            missing = _OPPOSED.format(-loudest)
+        elif strength >= config.power:
+            missing = _COVERED.format(100.0 * config.power)
         else:
-            needed = math.inf if enough else sums.worn(config.surviving).evidence_needed(threshold, config.power)
-            missing = _COVERED if enough else _more(needed)
+            missing = _short(z, needed, known.derivation, config)
+            if known.derivation.views is None:  # pictures are never called unmarked, however many there are
+                times = sums.worn(config.surviving).evidence_needed(threshold, config.power)
+                missing += f"; {_times(times)} would show a watermark at half strength"
     # 7. Read the bits.
     bits, reliability = _read_bits(evidence, c, spreading, len(message))
     matches = int((bits == message).sum())
 
-    attested_rate = config.rate_if_attested or config.false_claim_rate
-    would = verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries)
+    would = verdict is not Verdict.MARKED and z >= attested_z
     return Claim(
         verdict=verdict,
         confidence=-math.expm1(log10_bound * math.log(10)),
@@ -302,12 +308,45 @@ def _bit_strength(w: Float64, signal: Float64, bit_of: npt.NDArray[np.integer], 
 
 
 _COVERED = (
-    "the suspect deviates from the original too much to exclude a watermark: it may carry another one, or this one was"
-    " covered or removed"
+    "a watermark at half its strength would have been found with a probability of at least {:.1f} %, and none was; yet"
+    " the suspect deviates from the original too much to exclude one: it may be unmarked, carry another one, or this"
+    " one was covered or removed"
+)
+_OPPOSED = (
+    "what was measured is opposed to the watermark (z {:.1f}), which chance hardly explains: more than the watermark"
+    " may have been removed"
 )
 
 
-def _more(times: float) -> str:
+class _Needed(NamedTuple):
+    """What z would be a claim."""
+
+    z: float
+    z_if_attested: float
+    seen: bool  # whether the evidence is more than chance explains: then a mark like it would add up
+
+
+def _short(z: float, needed: _Needed, derivation: Derivation, config: ClaimConfig) -> str:
+    """How short of a claim the evidence falls, in numbers; how much more would do, only where it shows something.
+
+    z of equally clear evidence adds up as a root of a sum of squares.
+    """
+    text = f"z {z:.1f} of the {needed.z:.1f} needed"
+    if not needed.seen:
+        return text
+    times = (needed.z / z) ** 2
+    if derivation.views is None:
+        text += f"; {_times(times)} would do"
+    else:
+        more = max(1, math.ceil(derivation.views[0] * (times - 1.0)))
+        text += f"; about {more:,} more such {'picture' if more == 1 else 'pictures'} of the same copy would do"
+    if z < needed.z_if_attested < needed.z and config.conditions:
+        conditions = " and ".join(condition.text for condition in config.conditions)
+        text += f"; z {needed.z_if_attested:.1f} would do if {conditions}"
+    return text
+
+
+def _times(times: float) -> str:
     if times > 1000:
-        return "more than 1,000 times as much evidence of this kind is needed"
-    return f"about {max(times, 1.1):.1f} times as much evidence of this kind is needed"
+        return "more than 1,000 times as much evidence of this kind"
+    return f"about {max(times, 1.1):.1f} times as much evidence of this kind"

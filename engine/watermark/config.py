@@ -37,6 +37,11 @@ class PlanningConfig:
     most_still: float = 2.0 / 3.0
     # Noise of each color channel (standard deviation, range 1) for which z is predicted: one picture, badly compressed
     reference_noise: float = 0.05
+    # z of a claim, in that of this noise, from one picture of profile `fast`: of our own render at
+    # JPEG 10, and of a viewer's screenshot at JPEG 80 (SuperSplat and Spark). Measured on five scenes (guitar, plant,
+    # playbot_lod2, st_peter, tarot), whose medians came to 0.44 to 0.71 and 0.57 to 0.83
+    claimed_render: float = 0.60
+    claimed_viewer: float = 0.72
     reference_pixels: int = 800 * 800  # pixels of that picture: suspects do not depend on the size of the key views
     # Least predicted z of a bit that the planner accepts: about one wrong bit in a hundred on that one bad picture;
     # several pictures, a better one, or the model itself read all of them
@@ -55,6 +60,11 @@ class LatticeConfig:
     finest: float = 2.0**-21  # step, in the largest value, below which floats themselves are no coarser
     off: float = 0.05  # mean distance of values from their lattice by rounding, steps: by chance it is a quarter
     least_rows: int = 64  # below which nothing is found
+    # Rows that show whether steps change between rows: a quarter of a chunk of compressed PLY; and enough for 16 bits
+    windows: tuple[int, ...] = (64, 1024)
+    probes: int = 24  # such windows that are looked at first,
+    glance: int = 6  # each sixth before the others: of free values none lies on even steps
+    least_probes: float = 0.15  # share of the probes that must: others lie across a change
     # Share of a step from which a displacement is rounded, up or down; below, the value stays. A rare whole step says
     # little of a small displacement, and shows. Of colors, code vectors average over many
     least_move_geometry: float = 0.25

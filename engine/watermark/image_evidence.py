@@ -17,6 +17,7 @@ import numpy as np
 from engine.kernels.thread_crew import run_turns, thread_count
 from engine.model import SH_C0, Bool, Float32, Float64
 from engine.pictures.alignment.blur import Blur
+from engine.pictures.alignment.color_change import ColorChange
 from engine.pictures.alignment.residual import image_cotangent
 from engine.pictures.alignment.tone_curve import Toned
 from engine.pictures.alignment.uneven_light import fit_colors
@@ -157,6 +158,8 @@ class PublicMark:
     image: Float32  # (H, W, 3)
     signs: Float64  # (C,) sign of each chip's displacement in it
     blur: Blur | None = None  # of the picture; `image` has it
+    steep: Float32 | None = None  # (N, 3) share of a change of each Gaussian's colors that the viewer shows
+    change: ColorChange | None = None  # of the colors of the model that it shows; `image` has it
 
 
 def gather_image_evidence(
@@ -185,7 +188,8 @@ def gather_image_evidence(
         Pixels that carry evidence.
     mark : PublicMark
         How the picture would show a mark. Where it has a blur, `reference` has it, too, and the weighted residual goes
-        through the blur's adjoint before it is pulled back, for the Gaussians are those of the sharp render.
+        through the blur's adjoint before it is pulled back, for the Gaussians are those of the sharp render. Where it
+        has a change of colors, what these are pulled by goes through its adjoint, too.
     through : (H, W, 3) float32, optional
         What of the picture is not the model's but shines through it (`pictures.background`).
     geometry : GrainView, optional
@@ -204,9 +208,13 @@ def gather_image_evidence(
 
     def read(cotangent: Float32) -> tuple[Float32, Float32]:
         if geometry is None:
-            pulled = view.backward_colors(cotangent)
-            return pulled, _gathered(layout, pulled).astype(np.float32)
-        pulled, moved = geometry.pull(view, cotangent)
+            pulled, moved = view.backward_colors(cotangent), np.empty(0, dtype=np.float32)
+        else:
+            pulled, moved = geometry.pull(view, cotangent)
+        if mark.steep is not None:  # the viewer's curve comes after what was done to the model
+            pulled = pulled * mark.steep
+        if mark.change is not None:
+            pulled = mark.change.adjoint(pulled)
         return pulled, np.concatenate([_gathered(layout, pulled).astype(np.float32), moved])
 
     pulled, y = read(cotangents[0])

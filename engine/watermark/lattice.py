@@ -8,7 +8,8 @@ Lattices are found in the values themselves, column by column, since a file does
 
 - a *table*: few distinct values (codebooks of `.sog`);
 - *even* steps, plain (bytes; 24-bit centres of `.spz`) or of sign(x) log(1 + |x|) (16-bit centres of `.sog`);
-- *chunks*: even steps between the least and the largest of 256 rows in turn (compressed PLY).
+- *chunks*: even steps between the least and the largest of 256 rows in turn (compressed PLY);
+- *segments*: even steps that change from some row to the next, where such files were cropped or several were merged.
 """
 
 from __future__ import annotations
@@ -178,10 +179,15 @@ def _find(values: Float32) -> Lattice | None:
         return replace(plain, known=distinct)
     if len(distinct) <= _CONFIG.few * len(values):
         return Table(distinct.astype(np.float64))
-    logs = _even(_signed_log(distinct))
-    if logs is not None:
-        return replace(logs, logarithmic=True, known=distinct)
-    return _chunks(values)
+    curved = _even(_signed_log(distinct))
+    if curved is not None:
+        return replace(curved, logarithmic=True, known=distinct)
+    chunks = _chunks(values)
+    if chunks is not None:
+        return chunks
+    exact, logs = values.astype(np.float64), _signed_log(values)
+    ways = ((at, width, at is logs) for at in (exact, logs) for width in _CONFIG.windows)
+    return next((found for way in ways if (found := _segments(*way)) is not None), None)
 
 
 def _signed_log(values: Float32) -> Float64:
@@ -251,3 +257,58 @@ def _chunks(values: Float32) -> Even | None:
             origin = np.repeat(low, CHUNK)[: len(values)]
             return Even(origin, spread, np.full(len(values), float(levels)))
     return None
+
+
+def _segments(at: Float64, width: int, logarithmic: bool = False) -> Even | None:
+    """Even steps in `at` (N,), the values or their logarithm, that change between rows; or None.
+
+    Rows that fit no segment's steps have none, and stay where they are.
+    """
+    starts = np.unique(np.linspace(0, max(0, len(at) - width), _CONFIG.probes).astype(np.int64))
+    few = starts[:: _CONFIG.glance]  # enough where no window lies on any
+    for probed, least in ((few, 1.0 / len(few)), (starts, _CONFIG.least_probes)):
+        if np.mean([_steps(at[start : start + width]) is not None for start in probed]) < least:
+            return None
+    origin, spacing, most = np.zeros(len(at)), np.zeros(len(at)), np.zeros(len(at))
+    start = 0
+    while start + width <= len(at):
+        found = _steps(at[start : start + width])
+        length = 0 if found is None else _length(at[start:], width, *found)
+        if found is None or length < width // 2:
+            start += width // 8
+            continue
+        end = start + length
+        places = (at[start:end] - found[0]) / found[1]
+        whole = np.rint(places)
+        on = np.abs(places - whole) < 2.0 * _CONFIG.off
+        first, last = whole[on].min(), whole[on].max()
+        origin[start:end] = found[0] + first * found[1]
+        spacing[start:end], most[start:end] = np.where(on, found[1], 0.0), last - first
+        start = end
+    return Even(origin, spacing, most, logarithmic)
+
+
+def _steps(at: Float64) -> tuple[float, float] | None:
+    """Origin and spacing of even steps through a few values, or None."""
+    even = _even(np.unique(at))
+    if even is None:
+        return None
+    places = (at - even.origin) / even.spacing
+    off = float(np.abs(places - np.rint(places)).mean())
+    return (float(even.origin), float(even.spacing)) if off < _CONFIG.off else None
+
+
+def _length(at: Float64, width: int, origin: float, spacing: float) -> int:
+    """Rows from the first on, up to which most lie on these steps."""
+    reach, width = width, width // 8
+    while True:
+        places = (at[:reach] - origin) / spacing
+        misses = np.abs(places - np.rint(places)) > 2.0 * _CONFIG.off
+        crowd = np.convolve(misses, np.ones(width), "valid") > width // 2
+        if crowd.any():
+            # From the first of the missing rows on
+            begin = int(np.argmax(crowd))
+            return max(1, begin + int(np.argmax(misses[begin:])))
+        if reach >= len(at):
+            return len(at)
+        reach *= 4

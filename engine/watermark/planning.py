@@ -205,6 +205,20 @@ def predict_z(energies: Float64, bit_of: Int32, bits: int) -> Float64:
     return out
 
 
+@dataclass(frozen=True)
+class PredictedZ:
+    """z of a claim from one picture, by what made the picture: the usual one of several that show the asset well."""
+
+    render: float  # our own render of `reference_pixels`, at JPEG 10
+    viewer: float  # a screenshot of a viewer, at JPEG 80
+
+
+def predict_claim(energies: Float64) -> PredictedZ:
+    """What one picture is expected to show; `energies` as of `predict_z`."""
+    z = float(predict_z(energies, np.zeros(energies.shape[1], dtype=np.int32), 1).mean())
+    return PredictedZ(_CONFIG.claimed_render * z, _CONFIG.claimed_viewer * z)
+
+
 def capacity_bits(energies: Float64, chips: int) -> int:
     """Bits the scene's pictures carry: the median one (see `predict_z`) must give every bit `bit_z`."""
     signal = energies.sum(axis=1) / _CONFIG.reference_noise**2

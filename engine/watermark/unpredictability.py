@@ -7,7 +7,8 @@ subtracting what is unexpected. So amplitudes follow what the unmarked scene its
 import numpy as np
 import scipy
 
-from engine.model import Float64, Int64
+from engine.compress.hvq import HvqConfig, group_means, quantize
+from engine.model import Float32, Float64, GaussianModel, Int64
 from engine.watermark.config import CONFIG
 
 
@@ -28,6 +29,18 @@ def unexplained(centers: Float64, colors: Float64) -> Float64:
     missed = colors - guessed
     around = np.concatenate([np.arange(count)[:, None], near[:, : CONFIG.cells.around - 1]], axis=1)
     return np.asarray(np.einsum("mki,mkj->mij", missed[around], missed[around]) / around.shape[1])
+
+
+def public_misfit(model: GaussianModel, radius: float) -> Float32:
+    """(N, 3) what of each Gaussian's DC color its public cell does not share with the cells around it.
+
+    Anybody can make these cells: their weights are about the area that a Gaussian covers. `radius` is the scene's.
+    """
+    weights = np.exp(model.log_scales.astype(np.float64).sum(axis=1) * (2.0 / 3.0))
+    stage = quantize(model, weights, radius, HvqConfig())[0]
+    centers = group_means(model.means, stage.labels, weights).astype(np.float64)
+    colors = stage.codebook[:, :3].astype(np.float64)
+    return np.asarray((colors - guess(centers, colors)[0])[stage.labels], dtype=np.float32)
 
 
 def guess(centers: Float64, colors: Float64) -> tuple[Float64, Int64]:

@@ -15,15 +15,18 @@ import sqlalchemy as sa
 from engine.credentials.signer import Signer, read_signer
 from engine.errors import InputError
 from service.assets.conversions import CONVERTING_SECONDS, once
+from service.assets.publishing import published_of
 from service.clock import now
 from service.core import Service
-from service.db.schema import assets, manifests
+from service.db.schema import assets, manifests, published
 from service.problems import Problem
 from service.processes import run_once, task_folder
 from service.settings import Settings
 
 SIGNED = ("sog", "glb")
 """Formats that are delivered with credentials."""
+STATES = "glb"
+"""The format that states rights, and where its manifest is."""
 
 _log = logging.getLogger(__name__)
 
@@ -59,11 +62,13 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
         signer = await asyncio.to_thread(signer_of, service.settings)
         if signer is None:
             return bare
-        made = await asyncio.to_thread(_kept, service, row.id, sha256, signer)
+        rights = (await asyncio.to_thread(published_of, service, row.id)).rights if kind == STATES else ""
+        query = _query(row.id, sha256, signer, rights)
+        made = await asyncio.to_thread(_kept, service, query)
         if made is None:
-            this = (sha256, f"credentials {row.id} {signer.fingerprint}")
-            await once(service, row.tenant, this, lambda: _sign(service, row, sha256, kind, signer))
-            made = await asyncio.to_thread(_kept, service, row.id, sha256, signer)
+            this = (sha256, f"credentials {row.id} {signer.fingerprint} {rights}")
+            await once(service, row.tenant, this, lambda: _sign(service, row, sha256, kind, signer, rights))
+            made = await asyncio.to_thread(_kept, service, query)
     except InputError as error:
         _log.error("no Content Credentials for %s: %s", row.id, error)
         return bare
@@ -81,25 +86,28 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
 def forget_manifests(service: Service, asset: str) -> None:
     """They are no longer served; delivered files keep theirs."""
     service.db.change(sa.delete(manifests).where(manifests.c.asset == asset))
+    service.db.change(sa.delete(published).where(published.c.asset == asset))
 
 
-def _kept(service: Service, asset: str, sha256: str, signer: Signer) -> Any:
-    """The row of what was signed of this very file by this signer."""
-    return service.db.query(_query(asset, sha256, signer)).first()
+def _kept(service: Service, query: sa.Select[Any]) -> Any:
+    return service.db.query(query).first()
 
 
-def _query(asset: str, sha256: str, signer: Signer) -> sa.Select[Any]:
+def _query(asset: str, sha256: str, signer: Signer, rights: str) -> sa.Select[Any]:
+    """The row of what was signed of this very file by this signer, with this statement of rights."""
     same = (manifests.c.source_sha256 == sha256) & (manifests.c.signer == signer.fingerprint)
-    return sa.select(manifests).where((manifests.c.asset == asset) & same)
+    return sa.select(manifests).where((manifests.c.asset == asset) & same & (manifests.c.rights == rights))
 
 
-def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer) -> str:
+def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer, rights: str) -> str:
     """Sign it, in a process of its own; the manifest's id."""
     with task_folder(service.settings) as folder:
         request = {
             "model": str(service.blobs.local(sha256, folder)),
             "format": kind,
             "record_id": row.record_id,
+            "rights": rights,
+            "public_url": service.public_url(),
             "certificates": signer.chain.decode(),
             "key": signer.key.decode(),
         }
@@ -117,9 +125,10 @@ def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer) ->
         "file_sha256": kept.get("model", sha256),
         "sha256": kept["manifest"],
         "created_at": now(),
+        "rights": rights,
     }
     with service.db.exclusive() as connection:
         there = connection.execute(sa.select(assets.c.id).where(assets.c.id == row.id)).first()
-        if there and connection.execute(_query(row.id, sha256, signer)).first() is None:  # another process was faster
+        if there and connection.execute(_query(row.id, sha256, signer, rights)).first() is None:  # no other was faster
             connection.execute(manifests.insert().values(**made))
     return str(made["id"])

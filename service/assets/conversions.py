@@ -53,7 +53,7 @@ async def once(service: Service, tenant: str, this: tuple[str, str], make: Calla
     if work is None:
         most = service.settings.conversions_at_once
         if sum(whose == tenant for whose, _ in list(making.values())) >= most:
-            text = f"{most} models are being converted for this tenant: ask again when one is done"
+            text = f"{most} files are being worked on for this tenant: ask again when one is done"
             raise Problem("budget-exceeded", text, headers={"Retry-After": "5"})
         work = making[this] = tenant, _threads.submit(make)
         work[1].add_done_callback(lambda _: making.pop(this, None))  # in its thread, or here if it is done already

@@ -1,22 +1,32 @@
 """The query and fetch routes of C2PA's Soft Binding Resolution API 2.4, under /v1: a mark leads to its manifest.
 
 Open to all, as manifests are: a caller who names a record's id (128 bits, in the file, in its claims and nowhere to be
-guessed) gets what the owner let out with the file, and nothing else.
+guessed) gets what the owner let out with the file, and nothing else. Only a search by content takes an API key, since
+it takes a body and processor time.
 """
 
+import asyncio
 from typing import Annotated
 
 import sqlalchemy as sa
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from engine.credentials.manifest import ALG, MEDIA_TYPE, bound_record
+from service.assets.likeness import find_alike
 from service.db import missing
 from service.db.schema import assets, manifests
-from service.http.access import Core
+from service.http.access import Anyone, Core
+from service.http.budgets import spend
 from service.http.error_responses import responses
+from service.problems import Problem
+from service.uploads.ingest import receive
 
 router = APIRouter(prefix="/v1", tags=["credentials"])
+Most = Annotated[int, Query(alias="maxResults", ge=1, le=100, description="Ids to return at most.")]
+_MEDIA = ("application", "image", "model")
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_CONTENT = {"requestBody": {"required": True, "content": {f"{kind}/*": _BINARY for kind in _MEDIA}}}
 _FILE = {
     "description": "The manifest store",
     "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
@@ -33,6 +43,20 @@ class Matches(BaseModel):
     """Manifests of one mark, the latest first."""
 
     matches: list[Match]
+
+
+class AlikeMatch(Match):
+    """A manifest of an asset that the content is like."""
+
+    similarityScore: int = Field(
+        ge=50, le=100, description="100: clearly alike; 50: close to the limit below which strangers stay."
+    )
+
+
+class AlikeMatches(BaseModel):
+    """Manifests of assets that the content is like, the likeliest first."""
+
+    matches: list[AlikeMatch]
 
 
 class Algorithm(BaseModel):
@@ -52,7 +76,7 @@ def query_by_binding(
     core: Core,
     alg: Annotated[str, Query(description="Name of the soft binding's algorithm.", max_length=200)],
     value: Annotated[str, Query(description="As the manifest names it: 16 bytes in base64.", max_length=200)],
-    most: Annotated[int, Query(alias="maxResults", ge=1, le=100)] = 10,
+    most: Most = 10,
 ) -> Matches:
     """Ids of the manifests that name this mark; none where it, or the algorithm, is unknown."""
     record = bound_record(value) if alg == ALG else ""
@@ -60,6 +84,40 @@ def query_by_binding(
     query = sa.select(manifests.c.id).select_from(joined).where(manifests.c.binding == record)
     found = core.db.query(query.order_by(manifests.c.created_at.desc()).limit(most)).scalars().all()
     return Matches(matches=[Match(manifestId=each) for each in found])
+
+
+@router.post(
+    "/matches/byContent",
+    operation_id="queryByContent",
+    openapi_extra=_CONTENT,
+    responses=responses(
+        *("malformed-request", "unauthorized", "forbidden", "too-large", "unsupported-media-type"),
+        *("unreadable-model", "budget-exceeded"),
+    ),
+)
+async def query_by_content(
+    request: Request,
+    core: Core,
+    caller: Anyone,
+    alg: Annotated[str, Query(description="Only manifests with this algorithm's soft binding.", max_length=200)] = ALG,
+    most: Most = 10,
+) -> AlikeMatches:
+    """Ids of the manifests of assets that a model or picture is like, also cropped, converted or re-encoded; of those
+    alone whose owners publish that (`PUT /v1/assets/{id}/credentials`).
+
+    Marks are not looked for: a copy without one finds the same manifests. Any API key may ask.
+    """
+    media = request.headers.get("content-type", "").strip().lower()
+    if media.partition("/")[0] not in _MEDIA:
+        raise Problem("unsupported-media-type", f"send model/*, image/* or application/*, not {media!r}")
+    limit = core.settings.matches_per_hour
+    await asyncio.to_thread(spend, core.db, f"match:{caller.key_id}", limit, 1, "searches by content of this API key")
+    with core.blobs.new_file() as path:
+        got = await receive(request.stream(), path, core.settings.max_form_bytes)
+        if not got.whole or not got.length:
+            raise Problem("malformed-request", "the body is incomplete" if got.length else "no bytes were sent")
+        found = await find_alike(core, caller, path) if alg == ALG else []
+    return AlikeMatches(matches=[AlikeMatch(manifestId=name, similarityScore=score) for name, score in found[:most]])
 
 
 @router.get(

@@ -102,6 +102,16 @@ manifests = Table(
     *_texts("asset", "binding", index=True),  # binding: id of the mark's record
     *_texts("signer", "source_sha256"),  # of the certificate chain, and of the file that was to be signed
     *_texts("file_sha256", "sha256", "created_at"),  # of the file as it is delivered, and of the manifest store
+    Column("rights", Text, nullable=False, server_default=""),  # as the file states them
+)
+
+# What an owner publishes of an asset's credentials; without a row, nothing. Not in `assets`, whose rows never change.
+published = Table(
+    "published",
+    metadata,
+    *_key("asset"),
+    Column("by_content", Boolean, nullable=False),  # whether its manifests are found by what looks alike
+    *_texts("rights"),
 )
 
 claims = Table(

@@ -48,7 +48,7 @@ def _embed(service: Service, run: Run) -> Reply:
     """
     request = run.job.request
     owner = open_key(service.db, service.master, run.job.tenant, request["key_id"])
-    model = {"model": service.local(request["model"], run), "spz_frame": request["spz_frame"]}
+    model = service.local_model(request, run)
     screening = _screen(service, run, model)
     draws = draws_for(service.settings)
     return service.do_task(

@@ -26,7 +26,7 @@ NO_TENANT = ""
 def watch(service: Service, job: Job, asset_id: str) -> None:
     """Queue a look at what an embed job marked; twice is once."""
     request = {"model": job.request["model"], "tenant": job.tenant, "asset": asset_id}
-    request["spz_frame"] = job.request.get("spz_frame", "auto")  # jobs of earlier versions have none
+    request |= {"spz_frame": job.request.get("spz_frame", "auto"), "names": job.request.get("names")}
     hours = SystemRandom().uniform(0.0, service.settings.watch_minutes / 60.0)
     service.jobs.submit(Job(f"watch_{asset_id}", NO_TENANT, "", "watch", State.QUEUED, request, created_at=ago(-hours)))
 
@@ -39,7 +39,7 @@ def watch_flow(service: Service) -> Flow:
 def _look(service: Service, run: Run) -> Reply:
     """No owner key enters a process that reads the upload."""
     request = run.job.request
-    model = {"model": service.local(request["model"], run), "spz_frame": request["spz_frame"]}
+    model = service.local_model(request, run)
     alike = resembling(service, run, model, assets.c.tenant != request["tenant"])
     chosen = choose(alike)
     return {"carries": carried(service, run, chosen), "not_screened": len(alike) - len(chosen)}

@@ -21,6 +21,7 @@ POLICY = (
 )
 REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'self'"
 API, UPLOADS = "/v1/", "/v1/uploads/"
+BY_CONTENT = "/v1/matches/byContent"
 SHARED = "/shared/"
 """Addresses that are secrets: kept out of caches, referrers and search engines."""
 UNSEEN = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Robots-Tag": "noindex"}
@@ -117,7 +118,8 @@ class BodyGuard:
     def _limit(self, scope: Scope) -> int:
         if scope["method"] == "PUT" and scope["path"].startswith(UPLOADS):
             return self.settings.max_upload_bytes
-        if Headers(scope=scope).get("content-type", "").startswith("multipart/form-data"):
+        form = Headers(scope=scope).get("content-type", "").startswith("multipart/form-data")
+        if form or scope["path"] == BY_CONTENT:
             return self.settings.max_form_bytes
         return self.settings.max_body_bytes
 

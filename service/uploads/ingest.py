@@ -102,7 +102,7 @@ def inspect(service: Service, rows: Sequence[Any]) -> list[Any]:
                 )
                 infos |= {row.id: size for row, size in zip(pictures, found, strict=True)}
             for row in others:
-                request = {kinds[row.id]: str(paths[row.id]), "spz_frame": "auto"}
+                request = {kinds[row.id]: str(paths[row.id]), "spz_frame": "auto", "name": row.name}
                 task = "inspect" if kinds[row.id] == "model" else "cameras"
                 infos[row.id] = _look(service, task, request, folder, row.tenant)
         except Problem as problem:

@@ -38,9 +38,8 @@ def _verify(service: Service, run: Run) -> Reply:
     if not rows:
         raise Problem("conflict", "no asset is registered, so there is nothing to compare the suspect with")
     suspect = {
-        "model": service.local(request["model"], run),
+        **service.local_model(request, run),
         "images": [service.local(digest, run) for digest in request["images"]],
-        "spz_frame": request["spz_frame"],
     }
     originals = {row.original_sha256 for row in rows}
     chosen = rows if len(originals) == 1 else screen(service, run, suspect, rows, likely=True)

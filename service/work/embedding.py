@@ -15,7 +15,7 @@ from engine.scenes.scene_files import output_of
 from engine.usecases.mark import MarkOutput, MarkRequest, mark
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import message_signs
-from service.work.inputs import check_model, load_cameras
+from service.work.inputs import check_model, load_cameras, name_of
 from service.work.pictures import draw_preview
 from service.work.process import Parent, Reply, Request
 
@@ -49,7 +49,7 @@ def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:
         ),
         profile=request["profile"],
         format=request.get("format"),
-        name="the model",
+        name=name_of(request),
         spz_frame=request.get("spz_frame") or "auto",
     )
     (made,) = mark(mark_request, progress, check_model)

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from PIL import ExifTags, Image
 
@@ -11,7 +11,7 @@ from engine.errors import CameraError, FormatError, InputError
 from engine.formats import read_cameras
 from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, is_picture, read_picture
 from engine.model import Camera, Float32
-from engine.scenes.scene_files import Loaded, read_scene
+from engine.scenes.scene_files import Loaded, read_suspect
 from service.problems import Problem
 from service.work.process import Request
 
@@ -19,10 +19,17 @@ MOST_PICTURES = 64
 
 
 def load_model(request: Request) -> Loaded:
-    """The model of a request, called "the model" in messages; it holds at least one Gaussian."""
-    loaded = read_scene(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
+    """The model of a request, which may be colored points; it holds at least one Gaussian."""
+    loaded = read_suspect(request["model"], name=name_of(request), spz_frame=request.get("spz_frame") or "auto")
     check_model(loaded)
     return loaded
+
+
+def name_of(request: Request) -> str:
+    """What a request's model is called by its sender, without folders and control characters: some formats are known
+    by their ending alone. "the model" where it has no name."""
+    name = PurePosixPath(str(request.get("name") or "").replace("\\", "/")).name
+    return "".join(letter for letter in name if letter.isprintable())[-200:] or "the model"
 
 
 def check_model(loaded: Loaded) -> None:

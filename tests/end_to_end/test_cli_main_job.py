@@ -20,7 +20,7 @@ EMBED_KEYS = {
     "psnr_worst_view",
     "ssim_worst_view",
     "psnr_total_worst_view",
-    "predicted_z_per_bit",
+    "predicted_z_viewer",
     "capacity_bits",
     "bytes_out",
     "seconds",

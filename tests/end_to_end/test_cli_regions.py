@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from engine.cli.app import run
+from engine.formats import read_model, write_model
 from tests.end_to_end.conftest import Marked
 
 
@@ -29,6 +30,22 @@ def test_where_the_mark_is(marked: Marked, tmp_path: Path, capsys: pytest.Captur
         assert (rows["state"] == names.index("marked")).all()
         assert len(rows["piece"]) == len(rows["region"]) == len(rows["asset_state"])
     assert Image.open(tmp_path / "where" / "regions.png").width > 1000
+
+
+def test_regions_count_the_rows_of_the_file(marked: Marked, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows that cannot be read stay rows: what stands behind them keeps its number."""
+    model = read_model(marked.model).model
+    bad = np.zeros(len(model) + 30, dtype=bool)
+    bad[[*range(20), *range(500, 505), *range(len(bad) - 5, len(bad))]] = True
+    suspect = model.take(np.maximum(np.cumsum(~bad) - 1, 0))
+    means = suspect.means.copy()
+    means[bad] = np.nan
+    write_model(suspect.with_(means=means), tmp_path / "holes.ply")
+    code, said = marked.verify(capsys, tmp_path / "holes.ply", "--regions", tmp_path / "where")
+    assert (code, said["repairs"][0]["count"]) == (0, 30)
+    with np.load(tmp_path / "where" / "regions.npz", allow_pickle=False) as rows:
+        np.testing.assert_array_equal(rows["piece"] == -1, bad)
+        np.testing.assert_array_equal(rows["state"] == 0, bad)
 
 
 def test_a_folder_that_is_not_new_is_refused_before_any_work(

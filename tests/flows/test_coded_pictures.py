@@ -75,3 +75,9 @@ def test_a_jpeg_of_another_renderer_is_read_by_what_its_errors_leave(
 def test_what_a_scored_picture_would_show_is_predicted(scene: MarkedScene, camera: Camera, quality: int) -> None:
     claim = claim_of(scene, camera, attacked(to_8_bit(render(scene.marked, camera)), ("jpeg", quality)))
     assert 0.4 * claim.z < claim.expected_z < 1.6 * claim.z
+
+
+def test_a_render_shows_what_was_predicted_of_it(scene: MarkedScene) -> None:
+    cameras = make_rig(scene.original, 6, 800, 800, jitter=np.random.default_rng(0).random((6, 4)))[:3]
+    read = [z(scene, each, attacked(render(scene.marked, each), ("jpeg", 10))) for each in cameras]
+    assert np.median(read) == pytest.approx(scene.report["predicted_z_render"], rel=0.3)

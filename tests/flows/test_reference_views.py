@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.flows.verify.suspect_evidence import seen_shift
+from engine.flows.verify.reference_views import seen_shift
 from engine.model import look_at
 from engine.raster import sh_colors
 from tests.formats.models import random_model

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from engine.lab.sim.adversaries.collusion import collude
 from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.raster import render
+from engine.watermark.rates import Attested
 from engine.watermark.statistics import z_threshold
 from tests.flows.conftest import FiveCopies
 
@@ -91,6 +92,22 @@ def test_pictures_of_an_average_name_each_copy(copies: Copies) -> None:
     answer = trace_images(pictures, copies.opened + copies.others, cameras=cameras)
     assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
     assert answer.tries == 2 * 6 * (5 + INNOCENT)
+
+
+def test_a_name_that_verification_would_leave_open_says_why(copies: Copies) -> None:
+    stamped = Attested("2026-01-01T00:00:00+00:00", "a service", drawn=True, tries=1)
+    told = []
+    for side in (48, 128):
+        camera = copies.opened[0].cameras[0].resized(side, side)
+        picture = to_8_bit(render(copies.models[0], camera))
+        plain, drawn = (
+            trace_images([picture], [replace(copies.opened[0], attested=each)], cameras=[camera])
+            for each in (None, stamped)
+        )
+        between = [f for f in plain.named if f.log10_false_claim > -128 * np.log10(2)]
+        assert len(plain.notes) == len(drawn.notes) + (len(between) > 0)
+        told.append(len(between))
+    assert len(set(told)) == 2, "both cases were met"
 
 
 def test_assets_of_one_owner_are_read_apart(copies: Copies, small_plant: GaussianModel) -> None:

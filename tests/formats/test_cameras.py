@@ -109,6 +109,31 @@ def test_nerfstudios_transform_is_undone(tmp_path: Path) -> None:
     assert_close(read_cameras(path), cameras())
 
 
+def test_nerfstudios_dataparser_leads_to_the_trained_model(tmp_path: Path) -> None:
+    """As its code does it: the transform on poses of the reconstruction, then the scale on their places."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix()
+    turn[:3, 3] = [4, -5, 6]
+    scale, frames, wanted = 0.125, [], []
+    for camera in cameras():
+        intrinsics = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
+        frames.append({"transform_matrix": pose_of(camera).tolist(), "w": camera.width, "h": 100, **intrinsics})
+        pose = turn @ np.linalg.inv(camera.viewmat)
+        pose[:3, 3] *= scale
+        wanted.append(Camera(np.linalg.inv(pose), camera.K, camera.width, camera.height))
+    path = write_json(tmp_path / "transforms.json", {"frames": frames})
+    moved = write_json(tmp_path / "dataparser_transforms.json", {"transform": turn[:3].tolist(), "scale": scale})
+    assert_close(read_cameras(path), wanted)
+    with pytest.raises(CameraError, match=r"holds no cameras: put it next to the transforms\.json"):
+        read_cameras(moved)
+    write_json(moved, {"transform": turn[:3].tolist(), "scale": 0})
+    with pytest.raises(CameraError, match="are no similarity"):
+        read_cameras(path)
+    poses = write_json(tmp_path / "transforms_train.json", [{"file_path": "a.jpg", "transform": turn[:3].tolist()}])
+    with pytest.raises(CameraError, match="poses without lenses"):
+        read_cameras(poses)
+
+
 GOOD = {"width": 64, "height": 48, "fx": 50, "fy": 50, "position": [0, 0, 0], "rotation": np.eye(3).tolist()}
 
 
@@ -151,7 +176,10 @@ def test_faults_of_an_entry_are_named(tmp_path: Path, change: dict[str, Any], me
         ('{"frames": [{"w": 8, "h": 8}]}', "frame 0: has no 'camera_angle_x'"),
         ('{"frames": [{"w": 8, "h": 8, "camera_angle_x": 60}]}', "camera_angle_x 60 is no angle of view in radians"),
         ('{"frames": [{"w": 8, "h": 8, "fl_x": 9}]}', "frame 0: has no 'transform_matrix'"),
-        ('{"frames": [{"camera_model": "EQUIRECTANGULAR"}]}', "camera_model 'EQUIRECTANGULAR' is no pinhole"),
+        (
+            '{"frames": [{"camera_model": "EQUIRECTANGULAR"}]}',
+            "camera_model 'EQUIRECTANGULAR' is no pinhole and no OPENCV_FISHEYE",
+        ),
         ('{"frames": [{}], "applied_transform": [[0,0,0,0],[0,0,0,0],[0,0,0,0]]}', "cannot be undone"),
     ],
 )

@@ -51,7 +51,7 @@ def test_the_tag_is_kept(kind: str) -> None:
     assert read_model(encode_model(loaded.model, kind)).model.antialiased
     assert not read_model(encode_model(plain, kind)).model.antialiased
     assert_same(loaded.model, read_model(encode_model(plain, kind)).model)
-    assert loss_note(tagged, kind) == []
+    assert not any("antialiased" in note for note in loss_note(tagged, kind))
 
 
 def test_the_tag_is_where_others_look_for_it() -> None:
@@ -89,7 +89,7 @@ def test_discs_stay_discs_where_the_format_has_a_word_for_them(kind: str) -> Non
     back = read_model(encode_model(discs, kind)).model
     assert back.is_flat
     assert not back.antialiased
-    assert loss_note(discs, kind) == []
+    assert not any("discs" in note for note in loss_note(discs, kind))
     assert not read_model(encode_model(random_model(1), kind)).model.is_flat
 
 

@@ -1,5 +1,7 @@
 """A Gaussian PLY as other programs write it gives the values that it was made from, and says what was translated."""
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -7,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats import LoadedModel, encode_model, read_model
-from engine.model import SH_C0
+from engine.formats import LoadedModel, encode_model, read_model, write_model
+from engine.formats.file_writing import loss_note
+from engine.model import SH_C0, look_at
 from tests.formats.models import names_of, random_model
 from tests.formats.spz_scenes import assert_valid
 
@@ -84,12 +87,51 @@ def test_doubles_beyond_float32_are_left_out_and_rounded_ones_told() -> None:
     assert (codes(loaded), len(loaded.model)) == ({"rows_dropped"}, 299)
     np.testing.assert_array_equal(loaded.model.means[:, 0], np.delete(columns["x"][1], 7))
 
+
+def test_map_coordinates_keep_their_precision(tmp_path: Path) -> None:
+    """UTM: 4e5 east, 5e6 north. float32 would round the north to half a unit."""
+    columns = floats()
+    places = {"x": 448_123.456, "y": 5_412_345.678, "z": 312.5}
+    exact = {axis: columns[axis][1].astype(np.float64) + at for axis, at in places.items()}
     small = {f"scale_{axis}": ("float", np.full(300, np.log(0.01))) for axis in range(3)}
-    georeferenced = columns["x"][1].astype(np.float64) + 654321.123
-    loaded = read_model(file_of(columns | small | {"x": ("double", georeferenced)}))
-    error = np.abs(georeferenced - georeferenced.astype(np.float32))
+    (tmp_path / "utm.ply").write_bytes(file_of(columns | small | {k: ("double", v) for k, v in exact.items()}))
+    loaded = read_model(tmp_path / "utm.ply")
+    model, wanted = loaded.model, np.stack(list(exact.values()), axis=1)
+    assert codes(loaded) == {"origin_moved"}
+    np.testing.assert_allclose(model.means + np.array(model.origin), wanted, rtol=0, atol=1e-6)
+    assert np.abs(model.means).max() < 20
+    write_model(model.take(np.arange(0, 300, 2)), tmp_path / "back.ply")
+    back = read_model(tmp_path / "back.ply").model
+    np.testing.assert_allclose(back.means + np.array(back.origin), wanted[::2], rtol=0, atol=1e-6)
+    (note,) = [note for note in loss_note(model, "spz") if "map coordinates" in note]
+    assert "5412" in note
+    assert "0.25" in note, "half of float32's step at 5e6"
+    assert not loss_note(model, "ply")
+
+
+def test_map_coordinates_in_single_precision_are_told() -> None:
+    columns = floats()
+    small = {f"scale_{axis}": ("float", np.full(300, np.log(0.01))) for axis in range(3)}
+    assert codes(read_model(file_of(columns | small))) == set()
+    far = columns["y"][1].astype(np.float64) + 5_412_345.678
+    assert codes(read_model(file_of(columns | small | {"y": ("float", far)}))) == {"centers_coarse"}
+
+
+def test_doubles_that_no_origin_helps_are_told() -> None:
+    columns = floats()
+    small = {f"scale_{axis}": ("float", np.full(300, np.log(1e-9))) for axis in range(3)}
+    fine = columns["x"][1].astype(np.float64) + 1e-9
+    loaded = read_model(file_of(columns | small | {"x": ("double", fine)}))
     (reported,) = [repair for repair in loaded.repairs if repair.code == "centers_rounded"]
-    assert reported.count == np.count_nonzero(error > 0.01 / 20) > 100
+    error = np.abs(fine - fine.astype(np.float32))
+    assert reported.count == np.count_nonzero(error > 1e-9 / 20) > 100
+    assert loaded.model.origin == (0, 0, 0)
+
+
+def test_a_camera_of_a_map_sees_what_it_sees_from_the_origin() -> None:
+    camera = look_at((3, 2, 1), (0, 0, 0), (0, 0, 1), 60.0, 64, 48)
+    far = look_at((4e5 + 3, 5e6 + 2, 1), (4e5, 5e6, 0), (0, 0, 1), 60.0, 64, 48)
+    np.testing.assert_allclose(far.relative_to((4e5, 5e6, 0)).viewmat, camera.viewmat, atol=1e-8)
 
 
 @pytest.mark.parametrize("prefix", ["scalar_", "sf_", "Scalar_"])

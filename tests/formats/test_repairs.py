@@ -11,7 +11,7 @@ import pytest
 from engine.errors import FormatError
 from engine.formats import encode_model, read_model
 from engine.formats.repairs import INFINITE_OPACITY_LOGIT, LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair, clean
-from engine.model import GaussianModel
+from engine.model import GaussianModel, joined
 from tests.formats.models import ATTRIBUTES, assert_same, random_model
 
 
@@ -152,3 +152,17 @@ def test_signalling_nan_is_no_warning(format: str) -> None:
     data = data[:start] + b"\x01\x00\xa0\x7f" + data[start + 4 :]
     loaded = read_model(data.replace(b"property float x", b"property float32 x"))
     assert [repair.code for repair in loaded.repairs] == ["rows_dropped"]
+
+
+def test_where_a_gaussian_stood_in_its_file_is_known_however_it_is_cut() -> None:
+    model = random_model(0, 9)
+    means = model.means.copy()
+    means[[0, 4]] = np.nan
+    holed, _ = clean(means, model.log_scales, model.quats, model.opacity_logits, model.sh, file="f")
+    assert [holed.row_of(i) for i in range(7)] == [1, 2, 3, 5, 6, 7, 8]
+    assert holed.take(np.array([5, 0])).row_of(0) == 7
+    rows = joined([model, holed.take(holed.means[:, 0] < 99)]).file_rows
+    assert rows is not None
+    np.testing.assert_array_equal(rows.rows, [*range(9), 10, 11, 12, 14, 15, 16, 17])
+    np.testing.assert_array_equal(rows.spread(np.ones(16, int), 0), [1] * 9 + [0, 1, 1, 1, 0, 1, 1, 1, 1])
+    assert holed.with_(**{name: getattr(model, name) for name in ATTRIBUTES}).file_rows is None, "other rows"

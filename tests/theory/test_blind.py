@@ -14,6 +14,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.search import Reading, Suspect, readings
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies
+from engine.lab.sim.adversaries.laundering import smooth
 from engine.lab.sim.attacks import model_attack
 from engine.model import Float32
 from engine.raster import render
@@ -46,15 +47,18 @@ def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
 
 
 def suspects(scene: MarkedScene) -> dict[str, Suspect]:
-    """Marked; moved, noised and thinned; two pictures of known cameras, one blurred and one a JPEG."""
+    """Marked; moved, noised and thinned; two pictures of known cameras, one blurred and one a JPEG; one of a model
+    with smoothed colors."""
     worn = model_attack("similarity").apply(scene.marked, 4.0, rng=2)
     for attack, strength in (("noise_all", 0.1), ("prune_random", 0.5)):
         worn = model_attack(attack).apply(worn, strength, rng=2)
     cameras = make_rig(scene.marked, 2, 320, 320)
     pictures = [np.clip(render(scene.marked, camera), 0.0, 1.0) for camera in cameras]
     pictures[0], pictures[1] = cv2.GaussianBlur(pictures[0], (0, 0), 2.0), as_jpeg(pictures[1])
-    models = {"marked": scene.marked, "worn": worn}
-    return {name: Suspect(model) for name, model in models.items()} | {"pictures": Suspect(None, pictures, cameras)}
+    washed = np.clip(render(smooth(scene.marked, 32), cameras[0]), 0.0, 1.0)
+    models = {name: Suspect(model) for name, model in {"marked": scene.marked, "worn": worn}.items()}
+    seen = {"pictures": Suspect(None, pictures, cameras), "washed": Suspect(None, [washed], cameras[:1])}
+    return models | seen
 
 
 def as_jpeg(picture: Float32) -> Float32:
@@ -86,6 +90,7 @@ def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: Mar
     routes = set()
     for name, (suspect, true) in read.items():
         assert any(note.startswith("blurred: picture 1") for note in true[0].notes) == (name == "pictures")
+        assert any("averaged over neighbors" in note for note in true[0].notes) == (name == "washed")
         for one, other in zip(true, walk(suspect, drawn_anew(scene.opened, 1)), strict=True):
             a, b = one.evidence, other.evidence
             assert one.route == other.route

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -72,7 +73,7 @@ def test_chance_rate_without_the_stricter_one() -> None:
     strict = claim(0.15, config=ClaimConfig(false_claim_rate=2.0**-128))
     assert strict.verdict is Verdict.INCONCLUSIVE
     assert strict.z == found.z
-    needed = float(strict.missing.split()[1])
+    needed = float(strict.missing.partition("about ")[2].split()[0])
     assert needed == pytest.approx((strict.z_threshold / strict.z) ** 2, abs=0.06)
 
 
@@ -147,8 +148,57 @@ def test_too_little_evidence() -> None:
     found = claim(0.0, signal=0.08, derivation=FOUND)
     assert found.verdict is Verdict.INCONCLUSIVE
     assert found.power < 0.999
-    assert found.missing.startswith("about ")
+    assert f"z {found.z:.1f} of the {found.z_threshold:.1f}" in found.missing
+    assert "half strength" in found.missing
     assert "1,000" in claim(0.0, signal=0.001, derivation=FOUND).missing
+
+
+def pictures(shown: int, amplitude: float) -> Claim:
+    """Of so many pictures of one copy, equally clear, at the rate of a record that nobody attests.
+
+    Their noise says nothing of the mark, one way or the other.
+    """
+    noise = np.random.default_rng(1).normal(size=CHIPS)
+    sign = (CHIP * MESSAGE[BIT_OF]).astype(np.float64)
+    noise -= sign * (noise @ sign) / CHIPS
+    evidence = Evidence(math.sqrt(shown) * noise + shown * amplitude * sign, WEIGHTS, np.full(CHIPS, 0.1 * shown))
+    known = Circumstances(6, "image", derivation=Derivation(True, views=(shown, shown)))
+    return decide(evidence, SPREADING, MESSAGE, known, ClaimConfig.at(applicable_rate(1e-9, None)))
+
+
+def test_as_many_more_pictures_as_named_do() -> None:
+    """z of pictures of one copy adds up as a root of a sum of squares."""
+    for shown in (1, 2):
+        some = pictures(shown, 0.11)
+        assert some.verdict is Verdict.INCONCLUSIVE
+        assert f"z {some.z:.1f} of the {some.z_threshold:.1f}" in some.missing
+        more = int(some.missing.partition("about ")[2].split()[0])
+        assert pictures(shown + more, 0.11).verdict is Verdict.MARKED
+        assert pictures(shown + more - 1, 0.11).verdict is Verdict.INCONCLUSIVE
+
+
+def test_what_is_no_more_than_chance_promises_nothing() -> None:
+    for amplitude in (0.0, 0.02):
+        found = pictures(1, amplitude)
+        assert f"z {found.z:.1f} of the {found.z_threshold:.1f}" in found.missing
+        assert "more" not in found.missing
+        assert not re.search("pictures|removed|covered|another", found.missing)
+
+
+def test_what_an_older_registration_would_need_is_said_until_it_is_reached() -> None:
+    lower = z_threshold(1e-9, 6)
+    for amplitude, below in ((0.085, True), (0.13, False)):
+        found = pictures(1, amplitude)
+        assert (found.z < lower) == below
+        assert found.would_be_claim_if_attested != below
+        assert (f"z {lower:.1f} would do" in found.missing) == below
+
+
+def test_covering_is_only_spoken_of_where_a_mark_would_have_been_seen() -> None:
+    for signal in (0.05, 0.1, 0.3, 0.6):
+        found = claim(0.0, signal, derivation=Derivation(True, views=(1, 1)), route="image")
+        assert ("removed" in found.missing) == (found.power >= 0.999)
+    assert found.power >= 0.999
 
 
 def test_power_counts_a_worn_mark() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from engine.formats import read_model, write_model
+from engine.lab.sim.model_placement import join
 from engine.model import GaussianModel
 from engine.watermark.lattice import FREE, Even, Lattices, Table, find_lattices
 from tests.watermark.test_grain import blobs
@@ -51,6 +52,30 @@ FOUND = {
 def test_each_format_leaves_its_lattice(kind: str, small: bool, free: GaussianModel, tmp_path: Path) -> None:
     model = read_model(TRAIN).model if small else free
     assert kinds(find_lattices(through(model, kind, tmp_path))) == FOUND[kind]
+
+
+@pytest.mark.parametrize("how", ["box", "half", "merged"])
+@pytest.mark.parametrize("kind", ["sog", "compressed.ply"])
+def test_cropped_and_merged_files_keep_theirs(kind: str, how: str, free: GaussianModel, tmp_path: Path) -> None:
+    whole = through(free, kind, tmp_path)
+    rows = np.flatnonzero(whole.means[:, 0] < np.median(whole.means[:, 0]))
+    if how == "half":
+        rows = np.flatnonzero(np.random.default_rng(0).random(len(whole)) < 0.5)
+    original = whole.take(rows)
+    if how == "merged":  # the second file's own grids begin at no multiple of 256 rows
+        larger = free.with_(means=np.float32(1.37) * free.means + np.float32(0.3))
+        original = join(whole.take(np.arange(len(whole) - 100)), through(larger, kind, tmp_path))
+    lattices = find_lattices(original)
+    assert set(lattices.columns) == {"means", "log_scales", "dc"}
+    marked = lattices.onto(original, wanted(original, 1.0), KEY)
+    for name, columns in lattices.columns.items():
+        before, after = (each.sh[:, 0] if name == "dc" else getattr(each, name) for each in (original, marked))
+        for k, lattice in enumerate(columns):
+            assert lattice is not None
+            changed = before[:, k] != after[:, k]
+            assert changed.mean() > 0.2
+            for places in (lattice.places(after[:, k]), lattice.places(before[:, k])):
+                assert np.abs(places - np.rint(places))[changed].max() < 0.15
 
 
 def test_floats_have_none(free: GaussianModel) -> None:

@@ -10,7 +10,7 @@ Up to the landmarks all copies of a model have everything in common: see `asset`
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Unpack
 
 import numpy as np
@@ -30,7 +30,8 @@ from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.draw import stamps_extra
-from engine.flows.views.view_set import worst_psnr_against
+from engine.flows.records.opened_record import ORIGIN
+from engine.flows.views.view_set import SeenView, worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
@@ -39,7 +40,7 @@ from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import message_hex
-from engine.watermark.planning import predict_z
+from engine.watermark.planning import predict_claim
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,8 @@ class EmbedReport(Report):
     psnr_worst_view: float  # dB, of the mark alone
     ssim_worst_view: float  # of the mark alone
     psnr_total_worst_view: float  # dB, with pruning and quantization
-    predicted_z_per_bit: float  # of one bad picture
+    predicted_z_render: float  # of a claim from one own render of 800 x 800 pixels, at JPEG 10
+    predicted_z_viewer: float  # of a claim from one screenshot of a viewer, at JPEG 80
     capacity_bits: int  # that a model carries
     picture_bits: int  # that one picture carries
     chips: int  # of the tint
@@ -80,6 +82,7 @@ class Embedding:
     record: Record  # what the owner keeps
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
     report: EmbedReport
+    worst_view: SeenView  # the original in the key view that shows most of the mark
     seen: SeenPoints | None  # what an index of many assets keeps of its looks
 
 
@@ -137,6 +140,8 @@ def embed_on_terms(
 ) -> Iterator[Embedding]:
     """`embed_copies` with its options as one value."""
     clock = Clock(progress)
+    if terms.cameras is not None and any(model.origin):
+        terms = replace(terms, cameras=[camera.relative_to(model.origin) for camera in terms.cameras])
     if len({bool(copy) for copy in copies}) > 1:
         raise InputError(f"some copies have a recipient's name and others have none: {SECOND_WATERMARK}")
     asset = _prepare(model, key, original_sha256, terms, bool(copies and copies[0]), clock)
@@ -217,19 +222,20 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
 
             marked, fidelity = refine_mark(asset, owner, mark, bits, clock.advance)
     with clock.stage("record"):  # 8
+        placed: Json = {ORIGIN: list(marked.origin)} if any(marked.origin) else {}
         record = Record.make(
             key,
             asset.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
-            extra={"settings": settings.to_json(), **stamps_extra(committed.stamps)},
+            extra={"settings": settings.to_json() | placed, **stamps_extra(committed.stamps)},
             copy=copy,
             registered_at=terms.registered_at,
         )
         total = fidelity.psnr_db
         if delivery.model is not asset.original.model:
             total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
-    predicted = predict_z(plan.energies * ground.picture_scale, owner.drawn.tint.bit_of, bits)
+    predicted = predict_claim(plan.energies * ground.picture_scale)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
         gaussians_out=len(marked),
@@ -240,7 +246,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         psnr_worst_view=fidelity.psnr_db,
         ssim_worst_view=fidelity.ssim,
         psnr_total_worst_view=total,
-        predicted_z_per_bit=float(predicted.min(axis=1).mean()),
+        predicted_z_render=predicted.render,
+        predicted_z_viewer=predicted.viewer,
         capacity_bits=owner.capacity,
         picture_bits=owner.pictured,
         chips=plan.layout.chips,
@@ -250,7 +257,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         seconds=clock.total,
         seconds_by_stage=clock.seconds,
     )
-    return Embedding(marked, record, settings, report, asset.seen)
+    worst = SeenView(ground.cameras[fidelity.view], asset.original.views.images[fidelity.view])
+    return Embedding(marked, record, settings, report, worst, asset.seen)
 
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:

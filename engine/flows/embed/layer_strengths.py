@@ -10,7 +10,7 @@ are lowered and chips drawn anew.
 import math
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ class Fidelity:
 
     psnr_db: float
     ssim: float
+    view: int = field(default=0, kw_only=True, compare=False)  # index of the view with that PSNR
 
     def meets(self, other: "Fidelity") -> bool:
         """Whether it is at least as good in both."""
@@ -111,7 +112,7 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
 def _measure(views: ViewSet, displacement: Float32, factor: float) -> Strength:
     sh = add_dc(views.model.sh, np.float32(factor) * displacement)
     found = worst_of(compare(views.images, (views.render(k, sh) for k in range(len(views.images)))))
-    return Strength(found.psnr_db, found.ssim, factor)
+    return Strength(found.psnr_db, found.ssim, factor, view=found.view)
 
 
 def compare(images: Sequence[Float32], seen: Iterable[Float32]) -> list[Fidelity]:
@@ -127,7 +128,8 @@ def _compare(image: Float32, picture: Float32) -> Fidelity:
 
 def worst_of(views: Sequence[Fidelity]) -> Fidelity:
     """The least of both among views."""
-    return Fidelity(min(view.psnr_db for view in views), min(view.ssim for view in views))
+    worst = min(range(len(views)), key=lambda k: views[k].psnr_db)
+    return Fidelity(views[worst].psnr_db, min(view.ssim for view in views), view=worst)
 
 
 NO_GRAIN = Grain()

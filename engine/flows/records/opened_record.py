@@ -41,6 +41,9 @@ from engine.watermark.spreading import Spreading, grain_key, spread, spread_grai
 if TYPE_CHECKING:
     from cryptography import x509
 
+ORIGIN = "origin"
+"""Of the settings, where the model's centers are doubles far from zero: see `GaussianModel.origin`."""
+
 FIRST_STRENGTH = 2.4
 """Strength at which records of the first version are read: typical of 47 dB, one for all of them."""
 
@@ -72,6 +75,13 @@ class OpenedRecord:
     kept: Bool | None = None  # (M,) which Gaussians of the committed reference this one still has, where not all
     draw: Draw | None = None  # by which a part of the plan was drawn, not yet believed; None where none was
     attested: Attested | None = None  # others' word on when it was registered, checked by the caller
+
+    @property
+    def origin(self) -> Float64 | None:
+        """(3,) what was taken from the centers of a model in map coordinates, and is not in the reference."""
+        found = self.settings.get(ORIGIN)
+        sound = isinstance(found, list) and len(found) == 3 and all(type(x) is float and abs(x) < 1e12 for x in found)
+        return np.array(found) if sound else None
 
     def spreading_of(self, chips: int) -> Spreading:
         """Bits and chips of evidence on so many chips: of the tint alone, or of both layers."""

@@ -7,6 +7,7 @@
    other, is named. An asset of which none is named goes on to the next route.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -21,7 +22,8 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json
 from engine.watermark.layers import layered_z
-from engine.watermark.statistics import log10_false_claim_bound, z_threshold
+from engine.watermark.rates import BASES, AppliedRate
+from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
 
@@ -112,6 +114,7 @@ def trace(
     firsts: dict[tuple[str, bool, bytes], OpenedRecord] = {}
     settled: set[tuple[str, bool, bytes]] = set()  # some copy was named: no further route is read
     found: dict[str, CopyFinding] = {}
+    demanded: dict[str, AppliedRate] = {}  # of a claim by verification, by record
     tries = 0
     for number in range(len(routes)):
         for opened in _opened(again, clock):  # 1
@@ -128,6 +131,7 @@ def trace(
                 continue
             assets[place].go_along(number)  # 2
             found[record_id] = _judge(assets[place], opened)  # 3
+            demanded[record_id] = config.rate_for(opened.attested)
         tries = max(SIGNS * count_tries(len(found), routes, replace(config, tries=None)), config.tries or 1)
         found = {name: _counted(finding, tries, config) for name, finding in found.items()}  # 4
         settled = {place for place, names in copies.items() if any(found[name].named for name in names)}
@@ -138,6 +142,7 @@ def trace(
     notes = tuple(note for asset in assets.values() for note in asset.reading.notes)
     for place, names in copies.items():
         notes += tuple(_combined(assets[place], firsts[place], [found[name] for name in names]))
+    notes += tuple(_stricter((finding, demanded[name]) for name, finding in found.items() if finding.named))
     strongest_first = tuple(sorted(found.values(), key=lambda finding: -abs(finding.z)))
     threshold = z_threshold(config.false_claim_rate, tries)
     return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))
@@ -179,6 +184,18 @@ def _combined(asset: Copies, opened: OpenedRecord, findings: Sequence[CopyFindin
         owner = strength_left(evidence.sized(spreading.sizes), spreading.signs(opened.message))
         if owner > 0 and named[0].strength < CONFIG.damped * owner:
             yield "at least two copies were combined: what tells this copy from others is damped"
+
+
+def _stricter(named: Iterable[tuple[CopyFinding, AppliedRate]]) -> Iterator[str]:
+    """Why verification may leave open what is named here, from each named copy and the rate of a claim about it."""
+    limit = math.log10(DISHONEST_CLAIMANT_RATE)
+    applied = [each for finding, each in named if finding.log10_false_claim > max(math.log10(each.rate), limit)]
+    if applied:
+        why = " or ".join(dict.fromkeys(BASES[each.basis] for each in applied))
+        yield (
+            "a copy is named among the owner's own records, against chance alone; that the asset is the owner's is for"
+            f" verify to claim, which requires 1 in 2^128 here: {why}"
+        )
 
 
 def _counted(finding: CopyFinding, tries: int, config: VerifyConfig) -> CopyFinding:

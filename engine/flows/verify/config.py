@@ -35,7 +35,13 @@ class EvidenceConfig:
     like_mass: float = 0.5  # share of the heaviest mass from which a duplicate counts in full: halves differ so much
     refinements: int = 12  # renders at most to refine a view's camera, as `find_camera` does
     refined: float = 0.005  # step that ends it, pixels
-    edge_views: int = 64  # in which a picture without keypoints is sought
+    glances: int = 3  # views from which a model without a Gaussian of the reference must look like it, to be in place
+    glance_points: int = 2000  # of the reference, by which it is measured how far off it lies,
+    exact: float = 0.3  # pixels below which it lies there to the last digit: smoothed colors alone come to 0.24
+    edge_views: int = 96  # in which a picture without keypoints is sought,
+    # from so low to so high around an object, degrees: the climb from the nearest one gets no farther than 25
+    edge_elevations: tuple[float, float] = (-10.0, 75.0)
+    close_views: int = 64  # of which close-ups are made, from where people look at it
     edge_size: tuple[int, int] = (640, 480)  # of these, pixels
 
 

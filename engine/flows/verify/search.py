@@ -34,6 +34,7 @@ from engine.flows.verify.suspect_evidence import (
     read_pictures,
     read_renders,
 )
+from engine.formats.cameras.fisheye import without_fisheyes
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
@@ -72,6 +73,12 @@ class Suspect:
     pictures: Sequence[Float32] = ()  # range 0 to 1; any size, possibly rotated, scaled or cropped
     # One for each picture, where known; found from a record's landmarks otherwise
     cameras: Sequence[Camera] | None = None
+
+    def __post_init__(self) -> None:
+        if self.cameras is not None and len(self.cameras) == len(self.pictures):  # another number is refused later
+            pictures, cameras = without_fisheyes(self.pictures, self.cameras)
+            object.__setattr__(self, "pictures", pictures)
+            object.__setattr__(self, "cameras", cameras)
 
     def routes(self, wanted: str) -> tuple[str, ...]:
         """The routes along which it is read, in their order.
@@ -149,7 +156,10 @@ def _readings(
     suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock, budget: TimeBudget
 ) -> Iterator[Reading]:
     if suspect.model is None:
-        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, suspect.cameras, clock, budget)
+        known = suspect.cameras
+        if known is not None and (origin := opened.origin) is not None:
+            known = [camera.relative_to(origin) for camera in known]
+        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, known, clock, budget)
         seen = sum(camera is not None for camera in cameras)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,16 +15,16 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.verify.config import CONFIG
 from engine.flows.verify.copy_evidence import copy_of_gaussians
+from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
-from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel, Int32
+from engine.model import Bool, Camera, Float32, GaussianModel, Int32
 from engine.numerics.gaussians import surface_mass
-from engine.numerics.resampling import smooth
 from engine.numerics.similarity import mirror_model
-from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.blur import Blur, find_blur
+from engine.pictures.alignment.color_change import ColorChange, ColorSmoothing
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import (
     Alignment,
@@ -35,35 +34,31 @@ from engine.pictures.alignment.planar import (
     align_upright,
     near_motions,
 )
-from engine.pictures.camera.camera_motion import carried
+from engine.pictures.camera.camera_motion import carried, project
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.pose_refinement import refine_level
 from engine.pictures.jpeg.block_grid import JpegGrid, find_grid
 from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
-from engine.raster import RasterSettings, View, draw, prepare_view, render
+from engine.raster import RasterSettings, render
 from engine.registration.registration_search import Registration
 from engine.registration.visibility import only_drawn
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
-from engine.watermark.grain_pictures import GrainView
-from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
+from engine.watermark.image_evidence import PictureEvidence
 from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
 from engine.watermark.picture_agreement import Together
-from engine.watermark.spreading import public_signs
 
 __all__ = [
     "ReadPicture",
-    "ReferenceView",
-    "ReferenceViews",
     "Seen",
     "compare_tint",
     "derivation_of_model",
     "derivation_of_pictures",
     "derivation_of_sight",
     "duplicate_weights",
+    "far_views",
     "read_found",
     "read_gaussians",
     "read_grain",
@@ -72,81 +67,9 @@ __all__ = [
     "read_pictures",
     "read_renders",
     "read_tint",
-    "seen_shift",
 ]
 
 _CONFIG = CONFIG.evidence
-PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
-"""How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
-
-
-class ReferenceViews:
-    """A record's reference, and one with a mark of public signs, to be seen from many cameras."""
-
-    def __init__(self, opened: OpenedRecord) -> None:
-        model, layout, grain = opened.reference, opened.layout, opened.grain
-        self.opened = opened
-        self.signs = public_signs(layout.chips + grain.chips(len(model)))
-        self._tint = layout.displace(layout.amplitudes * self.signs[: layout.chips])
-        rough = self.signs[layout.chips :].astype(np.float32).reshape(-1, ATTRIBUTES)
-        self._rough = roughen(model, grain, rough) if grain.there else model
-
-    def at(self, camera: Camera, settings: RasterSettings = RasterSettings()) -> ReferenceView:
-        """The reference from one camera."""
-        model, grain = self.opened.reference, self.opened.grain
-        drawn = draw(model, camera, settings=settings)
-        view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
-        # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
-        colors = np.maximum(drawn.colors + seen_shift(self._tint, model, camera), 0.0)
-        plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
-        geometry = None
-        if grain.there:
-            seen = drawn.view.geometry
-            smooth = seen.settings.antialiased or len(seen.discs) > 0
-            geometry = GrainView(
-                draw(model, camera, settings=replace(PLAIN, by_distance=settings.by_distance)) if smooth else drawn,
-                grain,
-            )
-        return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceView:
-    """What one camera sees of a reference."""
-
-    of: ReferenceViews
-    view: View
-    plain: Float32  # (H, W, 3) clipped render of the reference
-    alpha: Float32  # (H, W) its opacity
-    mark: Float32  # (H, W, 3) what a mark of public signs adds
-    geometry: GrainView | None
-    blur: Blur | None = None  # that `plain`, `alpha` and `mark` went through
-
-    def blurred(self, blur: Blur) -> ReferenceView:
-        """This sharp view as a picture shows it that was blurred so."""
-        plain, alpha, mark = (blur.apply(image) for image in (self.plain, self.alpha, self.mark))
-        return replace(self, plain=plain, alpha=alpha, mark=mark, blur=blur)
-
-    def softened(self, sigma: float) -> ReferenceView:
-        """This view as a picture shows it that was blurred by `sigma` pixels."""
-        return replace(self, plain=smooth(self.plain, sigma), mark=smooth(self.mark, sigma))
-
-    def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
-        """Evidence of a picture that lies in this view's pixels."""
-        seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs, self.blur), through, self.geometry)
-
-
-def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
-    """(N, 3) what displacements of the DC coefficients (N, 3), or of all (N, 3K), add to colours that are seen from a
-    camera."""
-    if tint.shape[1] == 3:  # from anywhere
-        return np.float32(SH_C0) * tint
-    directions = model.means - camera.position.astype(np.float32)
-    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), np.finfo(np.float32).tiny)
-    coefficients = tint.reshape(len(tint), -1, 3)
-    basis = sh_basis(directions, math.isqrt(coefficients.shape[1]) - 1)
-    return np.asarray(np.einsum("nk,nkc->nc", basis, coefficients), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +80,25 @@ class _Laid:
     alignment: Alignment
     behind: Background | None  # what it shows behind the model
 
+    @property
+    def mask(self) -> Bool:
+        """(H, W) the pixels that carry evidence."""
+        return self.alignment.mask if self.behind is None else self.alignment.mask & self.behind.trusted
+
+    def read(self, image: Float32) -> PictureEvidence:
+        """What the picture says, of which `image` is what was laid over."""
+        if self.behind is not None and self.alignment.still:  # as its coder saw it
+            return self.view.read(image, self.mask, self.behind.through)
+        return self.view.read(self.alignment.warped, self.mask)
+
+    def washed(self) -> _Laid:
+        """The picture over the reference with its colors changed, where those of the picture's model were."""
+        reference = self.view.of.changed_as(self.view, self.alignment.warped, self.mask)
+        if reference is None:
+            return self
+        seen = self.view.view
+        return replace(self, view=reference.at(seen.camera, seen.geometry.settings))
+
 
 @dataclass(frozen=True, eq=False)
 class ReadPicture:
@@ -165,6 +107,7 @@ class ReadPicture:
     evidence: PictureEvidence
     mirrored: bool = False  # it was turned over
     blur: Blur | None = None  # it was compared with a render blurred so
+    change: ColorChange | None = None  # or with one of a reference whose colors were changed so
 
 
 def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> ReadPicture | None:
@@ -180,39 +123,36 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
     else:
         view = view.blurred(blur)
         laid = _Laid(view, align_image(view.plain, face) or alignment, None)
-    evidence = laid.view.read(laid.alignment.warped, laid.alignment.mask)
-    return ReadPicture(evidence, alignment.mirrored, blur)
+    laid = laid.washed()
+    return ReadPicture(laid.read(face), alignment.mirrored, blur, laid.view.of.change)
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
     """A picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
-    view = reference.at(found.camera, found.settings)
+    tone = reference.tone(found.camera, found.settings, image)
+    view = reference.at(found.camera, found.settings, tone)
     blur = find_blur(luma(view.plain), view.alpha, luma(image))
     if blur is not None:
         view = view.blurred(blur)
-    whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
+    (whole, change), bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
     if bent is not None:  # no camera says where it is clear, and so what lies behind
         parts = view.read(bent.warped, bent.mask)
         whole = parts if whole is None or parts.promise > whole.promise else whole
-    return None if whole is None else ReadPicture(whole, found.mirrored, blur)
+        change = None if whole is parts else change
+    return None if whole is None else ReadPicture(whole, found.mirrored, blur, change)
 
 
 def _read_whole(
     view: ReferenceView, image: Float32, found: FoundCamera, reference: ReferenceViews
-) -> PictureEvidence | None:
+) -> tuple[PictureEvidence | None, ColorChange | None]:
     laid = _lay_over_background(view, image)
     if laid is None:
-        return None
+        return None, None
     if view.blur is None:
         laid = _carried(laid, image, reference, found.settings, True)
-    alignment, behind = laid.alignment, laid.behind
-    if behind is None:
-        return laid.view.read(alignment.warped, alignment.mask)
-    mask = alignment.mask & behind.trusted
-    if alignment.still:  # as its coder saw it
-        return laid.view.read(image, mask, behind.through)
-    return laid.view.read(alignment.warped, mask)
+    laid = laid.washed()
+    return laid.read(image), laid.view.of.change
 
 
 def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
@@ -243,7 +183,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
             there = carried(camera, matrix, width, height)
             if there is None:
                 break
-            view = reference.at(there, drawn)
+            view = reference.at(there, drawn, laid.view.tone)
             behind = find_background(image, view.alpha) if over else None
             through = np.float32(0.0) if behind is None else behind.through
             near = align_upright(view.plain, image - through)
@@ -304,8 +244,12 @@ def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation
 
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
-SHOWN_IN_PLACE = "the suspect model shows the asset where it lies, but shares no Gaussian with it"
+DRAWN_ANEW = "it shares no Gaussian with the asset, so it was trained or drawn anew"
+SHOWN_IN_PLACE = f"the suspect model shows the asset where it lies; {DRAWN_ANEW}"
 LEFT_OUT = "left out: picture {} shows the asset, but not the mark that the other pictures agree on"
+
+
+WASHED = "{} whose colors were {}: it was compared with the original changed alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,7 +339,7 @@ def read_renders(
     check_drawable(suspect)
     suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
-        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock, budget), opened), (), True)
+        return _seen_placed(registration.place(suspect), opened, clock, budget)
     if registration.mirrored:
         suspect = mirror_model(suspect)
     cameras = [camera.with_side(_CONFIG.render_size) for camera in opened.cameras]
@@ -403,8 +347,13 @@ def read_renders(
     notes = []
     moved, reference = suspect, ReferenceViews(opened)
     place = None
-    if _in_place(suspect, opened, cameras[0]):
+    off = _in_place(suspect, opened, cameras)
+    sure = len(off) >= min(_CONFIG.glances, len(cameras))
+    if off:
         notes += [] if registration.found else [SHOWN_IN_PLACE]
+        if sure and max(off) < _CONFIG.exact:
+            seen = _seen_placed(suspect, opened, clock, budget)
+            return replace(seen, notes=(*notes, *seen.notes), recognised=not registration.found)
     elif opened.landmarks is not None:
         place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance, budget)
         if place is None:
@@ -413,9 +362,11 @@ def read_renders(
         count = f"{len(place.sightings)} of {place.views} views"
         it = "its mirror image" if place.mirrored else "it"
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
+        notes += [] if registration.found else [DRAWN_ANEW]
         for sighting in place.sightings:
             read = read_known(sighting.picture, sighting.found, reference)
             said = _added(said, None if read is None else read.evidence)
+            reference = _changed_as_read(reference, read)
     for number, camera in enumerate(cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
@@ -424,22 +375,44 @@ def read_renders(
         if refined is not None and refined.alike:
             read = read_known(picture, refined.camera, reference)
             said = _added(said, None if read is None else read.evidence)
+            reference = _changed_as_read(reference, read)
         clock.advance((number + 1) / len(cameras))
-    return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
+    notes += _how_changed(reference)
+    recognised = place is not None or (sure and not registration.found)
+    return Seen(_evidence(said, opened), tuple(notes), said is not None, recognised)
 
 
-def _read_placed(
-    moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget
-) -> PictureEvidence | None:
-    """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
+def _changed_as_read(reference: ReferenceViews, read: ReadPicture | None) -> ReferenceViews:
+    """The reference as the next views of the same model are compared with: how its colors were changed, one tells."""
+    if read is None or read.change is None or reference.change is not None:
+        return reference
+    return ReferenceViews(reference.opened, read.change)
+
+
+def _how_changed(reference: ReferenceViews) -> Iterator[str]:
+    if reference.change is not None:
+        yield _washed("the suspect is a model", reference.change)
+
+
+def _washed(what: str, change: ColorChange) -> str:
+    how = "averaged over neighbors" if isinstance(change, ColorSmoothing) else "denoised"
+    return WASHED.format(what, how)
+
+
+def _seen_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget) -> Seen:
+    """What the pose key's renders say of a model that lies where the reference lies, to the last digit."""
     said, reference = None, ReferenceViews(opened)
     for number, camera in enumerate(camera.with_side(_CONFIG.render_size) for camera in opened.cameras):
         if said is not None and not budget.allows(KEY_VIEWS):
             break
         picture = np.clip(render(moved, camera), 0.0, 1.0)
-        said = _added(said, reference.at(camera).read(picture, np.ones(picture.shape[:2], dtype=bool)))
+        view, mask = reference.at(camera), np.ones(picture.shape[:2], dtype=bool)
+        if number == 0 and (changed := reference.changed_as(view, picture, mask)) is not None:
+            reference = changed
+            view = reference.at(camera)
+        said = _added(said, view.read(picture, mask))
         clock.advance((number + 1) / len(opened.cameras))
-    return said
+    return Seen(_evidence(said, opened), tuple(_how_changed(reference)), True)
 
 
 def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> PictureEvidence | None:
@@ -447,11 +420,18 @@ def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> Pictur
     return said.plus(part) if said is not None and part is not None else said or part
 
 
-def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> bool:
-    """Whether the suspect looks like the reference where it stands: a copy trained anew was hardly ever moved."""
-    picture = np.clip(render(suspect, camera), 0.0, 1.0)
-    refined = refine_level(opened.reference, luma(picture), camera, _CONFIG.refinements, _CONFIG.refined)
-    return refined is not None and refined.alike
+def _in_place(suspect: GaussianModel, opened: OpenedRecord, cameras: Sequence[Camera]) -> list[float]:
+    """From up to `glances` views, how far the suspect lies from where the reference lies, pixels, until it looks unlike
+    it: a copy trained anew was hardly ever moved."""
+    means = opened.reference.means[:: max(1, len(opened.reference) // _CONFIG.glance_points)].astype(np.float64)
+    off: list[float] = []
+    for camera in cameras[:: max(1, len(cameras) // _CONFIG.glances)][: _CONFIG.glances]:
+        picture = np.clip(render(suspect, camera), 0.0, 1.0)
+        refined = refine_level(opened.reference, luma(picture), camera, _CONFIG.refinements, _CONFIG.refined)
+        if refined is None or not refined.alike:
+            break
+        off.append(float(np.median(np.linalg.norm(project(means, camera) - project(means, refined.camera), axis=1))))
+    return off
 
 
 def read_pictures(
@@ -477,7 +457,7 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, _CONFIG.edge_views, *_CONFIG.edge_size)))
+    far = cache(lambda: far_views(opened.reference))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
@@ -508,6 +488,12 @@ def read_pictures(
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
 
 
+def far_views(model: GaussianModel) -> FarViews:
+    """The model from afar, from all around: where pictures without keypoints are sought."""
+    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, elevations=_CONFIG.edge_elevations)
+    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size))
+
+
 def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
     """How a picture was read, for the reader of the claim."""
     if read.mirrored:
@@ -516,6 +502,8 @@ def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
         long, short = read.blur.widths
         how = f"standard deviations {long:.1f} and {short:.1f} pixels"
         yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
+    if read.change is not None:
+        yield _washed(f"picture {number + 1} shows a model", read.change)
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:

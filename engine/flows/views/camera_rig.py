@@ -75,6 +75,7 @@ def make_rig(
     *,
     jitter: Float64 | None = None,
     extent: Extent | None = None,
+    elevations: tuple[float, float] | None = None,
 ) -> list[Camera]:
     """Views that show the whole model, evenly spread; the same model gives the same rig.
 
@@ -89,6 +90,8 @@ def make_rig(
         seed. Without it the rig is the plain, regular one.
     extent : Extent, optional
         Where the model is, when already measured.
+    elevations : (2,), optional
+        Of the lowest and the highest view of an object, degrees; by default those from which people look at it.
     """
     extent = extent or measure_extent(model)
     u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)
@@ -103,7 +106,8 @@ def make_rig(
             eye = extent.center - 0.25 * extent.radius * toward * (0.5 + u[k, 2])
             target = extent.center + extent.radius * toward
         else:
-            elevation = np.radians(extent.lowest + (_CONFIG.highest - extent.lowest) * shell)
+            low, high = (extent.lowest, _CONFIG.highest) if elevations is None else elevations
+            elevation = np.radians(low + (high - low) * shell)
             fit = 1.06 * extent.radius / np.sin(_CONFIG.field_of_view / 2.0)
             eye = extent.center + direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
             target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * direction(azimuth[k] + 1.0, 0.0)

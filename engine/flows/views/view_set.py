@@ -53,6 +53,18 @@ def look(
     return ViewSet(model, cameras, views, frames, images)
 
 
+@dataclass(frozen=True, eq=False)
+class SeenView:
+    """One camera, and what it sees of the original."""
+
+    camera: Camera
+    image: Float32  # (H, W, 3)
+
+    def psnr_of(self, model: GaussianModel) -> float:
+        """dB of what it sees of another model."""
+        return psnr(self.image, render(model, self.camera))
+
+
 def worst_psnr_against(
     images: Sequence[Float32], cameras: Sequence[Camera], at_view: AtView | None = None
 ) -> Callable[[GaussianModel], float]:

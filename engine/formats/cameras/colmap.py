@@ -28,7 +28,11 @@ _LENSES = {
     "SIMPLE_RADIAL": _Lens(2, 4, 1),
     "RADIAL": _Lens(3, 5, 1),
     "OPENCV": _Lens(4, 8, 2),
+    "OPENCV_FISHEYE": _Lens(5, 8, 2),
+    "SIMPLE_RADIAL_FISHEYE": _Lens(8, 4, 1),
+    "RADIAL_FISHEYE": _Lens(9, 5, 1),
 }
+_STRAIGHT = (0.0, 0.0, 0.0, 0.0)
 _LARGEST = 1e15  # in pixels and scene units; also false for what is no number
 _NAMES = {lens.number: name for name, lens in _LENSES.items()}
 
@@ -38,7 +42,8 @@ class PosedPhoto:
     """A photo of a reconstruction: where it was taken from, and through which lens.
 
     `name` is the file's, as the reconstruction gives it; it may hold folders and is not to be trusted as a path.
-    `camera` is the lens without its distortion, which is OpenCV's k1, k2, p1, p2; zeros for a pinhole.
+    `camera` is the lens without its distortion, which is OpenCV's k1, k2, p1, p2; zeros for a pinhole. Or it is a
+    `FisheyeCamera`, which has its own.
     """
 
     name: str
@@ -52,6 +57,7 @@ class _Intrinsics:
     width: int
     height: int
     distortion: tuple[float, float, float, float]
+    fisheye: bool
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ def read_photos(
 ) -> list[PosedPhoto]:
     """All images with their cameras and distortion, in the order of their names, out of the content of the two files.
 
-    CameraError if they are broken, or a camera model is no pinhole with mild distortion.
+    CameraError if they are broken, or a camera model is no pinhole with mild distortion and no fisheye of OpenCV's.
     """
     lenses = (_binary_cameras if binary else _text_cameras)(cameras, cameras_file)
     posed = (_binary_images if binary else _text_images)(images, images_file)
@@ -93,8 +99,9 @@ def read_photos(
             raise CameraError(f"{image.where}: the pose is no rotation and translation")
         to_camera = quaternion_to_rotation(np.array(image.quat) / norm).reshape(3, 3)  # (3, 3)
         position = -to_camera.T @ np.array(image.t)
-        camera = make_camera(to_camera.T, position, lens.K, lens.width, lens.height, image.where)
-        result.append(PosedPhoto(image.name, camera, lens.distortion))
+        bends = lens.distortion if lens.fisheye else None
+        camera = make_camera(to_camera.T, position, lens.K, lens.width, lens.height, image.where, bends)
+        result.append(PosedPhoto(image.name, camera, _STRAIGHT if lens.fisheye else lens.distortion))
     return result
 
 
@@ -113,7 +120,7 @@ def _intrinsics(model: str, width: int, height: int, parameters: list[float], wh
     if not (all(abs(value) < _LARGEST for value in parameters) and fx > 0 and fy > 0):
         raise CameraError(f"{where}: the parameters are no focal length and principal point")
     k1, k2, p1, p2 = (*parameters[lens.focals + 2 :], 0.0, 0.0, 0.0, 0.0)[:4]
-    return _Intrinsics(K, width, height, (k1, k2, p1, p2))
+    return _Intrinsics(K, width, height, (k1, k2, p1, p2), model.endswith("FISHEYE"))
 
 
 def _text_cameras(data: bytes, file: str) -> dict[int, _Intrinsics]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import CameraError
+from engine.formats.cameras.fisheye import FisheyeCamera
 from engine.model import Camera, Float64
 from engine.numerics.plain import Json
 
@@ -17,6 +18,9 @@ MAX_IMAGE_SIDE = 1 << 16
 _ROTATION_TOLERANCE = 1e-2  # files with few decimals are accepted and made orthonormal
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+DATAPARSER = "dataparser_transforms.json"
+"""How nerfstudio moved a scene before it trained: the frame of what ns-export writes."""
+_FISHEYE = "OPENCV_FISHEYE"
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 
 
@@ -42,8 +46,9 @@ def read_inria(entries: list[Any], file: str) -> list[Camera]:
     return cameras
 
 
-def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
-    """Cameras of a parsed transforms.json; images in `folder` are looked at only where no size is given."""
+def read_nerf(content: Json, file: str, folder: Path, moved: Json | None = None) -> list[Camera]:
+    """Cameras of a parsed transforms.json; images in `folder` are looked at only where no size is given. `moved`, a
+    parsed dataparser_transforms.json, brings them from the reconstruction's frame to that of the trained model."""
     frames = content["frames"]
     if not frames:
         raise CameraError(f"{file}: holds no frames")
@@ -53,6 +58,13 @@ def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
         if abs(np.linalg.det(undo[:3, :3])) < 1e-9:
             raise CameraError(f"{file}: applied_transform cannot be undone")
         undo = np.asarray(np.linalg.inv(undo), dtype=np.float64)
+    to_model: Float64 = np.eye(4)
+    if moved is not None:
+        to_model[:3] = _matrix(moved, "transform", (3, 4), DATAPARSER)
+        to_model[:3] *= _number(moved, "scale", DATAPARSER)
+        if abs(np.linalg.det(to_model[:3, :3])) < 1e-30:
+            raise CameraError(f"{DATAPARSER}: transform and scale are no similarity")
+    undo = to_model @ undo
     cameras, distorted = [], 0
     for k, frame in enumerate(frames):
         where = f"{file}: frame {k}"
@@ -60,8 +72,11 @@ def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
             raise CameraError(f"{where}: is no object")
         entry = {**content, **frame}  # a frame's own intrinsics come first
         model = entry.get("camera_model", "OPENCV")
-        if model not in _PINHOLES:
-            raise CameraError(f"{where}: camera_model {str(model)[:40]!r} is no pinhole")
+        if model not in (*_PINHOLES, _FISHEYE):
+            message = (
+                f"camera_model {str(model)[:40]!r} is no pinhole and no {_FISHEYE}: leave --cameras out, and cameras"
+            )
+            raise CameraError(f"{where}: {message} of pictures are found")
         if "w" not in entry or "h" not in entry:
             entry["w"], entry["h"] = _image_size(entry.get("file_path"), folder, where)
         width, height = _size(entry, "w", where), _size(entry, "h", where)
@@ -69,19 +84,30 @@ def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
         fy = _focal(entry, "fl_y", "camera_angle_y", height, where, fx)
         K = _intrinsics(fx, fy, _number(entry, "cx", where, width / 2), _number(entry, "cy", where, height / 2))
         pose = _matrix(entry, "transform_matrix", (4, 4), where)
-        distorted += any(_number(entry, key, where, 0.0) != 0 for key in _DISTORTION)
+        distortion = {key: _number(entry, key, where, 0.0) for key in _DISTORTION}
+        bends = tuple(distortion[f"k{k}"] for k in (1, 2, 3, 4)) if model == _FISHEYE else None
+        distorted += bends is None and any(distortion.values())
         pose = undo @ pose
         scale = abs(np.linalg.det(undo[:3, :3])) ** (1 / 3)  # an applied scale moves cameras, turns none
         pose[:3, :3] /= scale
         pose = pose @ _OPENGL_TO_OPENCV
-        cameras.append(make_camera(pose[:3, :3], pose[:3, 3], K, width, height, where))
+        cameras.append(make_camera(pose[:3, :3], pose[:3, 3], K, width, height, where, bends))
     if distorted:
         warn_of_distortion(file, distorted)
     return cameras
 
 
-def make_camera(rotation: Float64, position: Float64, K: Float64, width: int, height: int, where: str) -> Camera:
-    """A camera from its pose in the world: rotation (3, 3) camera to world, position (3,) of its centre."""
+def make_camera(
+    rotation: Float64,
+    position: Float64,
+    K: Float64,
+    width: int,
+    height: int,
+    where: str,
+    bends: tuple[float, ...] | None = None,
+) -> Camera:
+    """A camera from its pose in the world: rotation (3, 3) camera to world, position (3,) of its centre; with `bends`
+    (4,) a fisheye."""
     if not np.abs(rotation.T @ rotation - np.eye(3)).max() <= _ROTATION_TOLERANCE:
         raise CameraError(f"{where}: the rotation is no rotation matrix")
     if np.linalg.det(rotation) < 0:
@@ -92,6 +118,8 @@ def make_camera(rotation: Float64, position: Float64, K: Float64, width: int, he
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = rotation.T, -rotation.T @ position
     try:
+        if bends is not None:
+            return FisheyeCamera(viewmat, K, width, height, bends)  # type: ignore[arg-type]
         return Camera(viewmat, K, width, height)
     except CameraError as error:
         raise CameraError(f"{where}: {error}") from None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import CameraError
-from engine.formats.cameras.documents import read_inria, read_nerf
+from engine.formats.cameras.documents import DATAPARSER, read_inria, read_nerf
 from engine.formats.file_writing import write_whole
 from engine.formats.guards import opening, read_regular
 from engine.model import Camera
@@ -27,7 +27,8 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Camera]:
     `path` is a JSON file; or a COLMAP model, text or binary, by its folder or by one of its files; or a folder that
     holds one of these under its usual name (``sparse/0``, ``cameras.json``, ``transforms.json``). They are in the order
     of the file; of a COLMAP model, in the order of the images' names. Where ``transforms.json`` gives an
-    ``applied_transform`` (nerfstudio), it is undone: the cameras are then in the frame of the reconstruction.
+    ``applied_transform`` (nerfstudio), it is undone: the cameras are then in the frame of the reconstruction; or, where
+    ``dataparser_transforms.json`` lies next to it, in that of the trained model.
 
     CameraError, naming the file and the entry, if the file is not what it should be; InputError if there is none. A
     UserWarning says where lens distortion is ignored: all cameras of this program are pinholes.
@@ -92,16 +93,28 @@ def _read_colmap(folder: Path, suffix: str) -> list[Camera]:
 
 
 def _read_json(path: Path) -> list[Camera]:
-    try:
-        content: Any = json.loads(read_limited(path))
-    except (ValueError, RecursionError) as error:
-        where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
-        raise CameraError(f"{path}: is no JSON{where}") from None
+    content = json_of(path)
+    if isinstance(content, list) and content and isinstance(content[0], dict) and "transform" in content[0]:
+        message = f"holds poses without lenses (ns-export cameras): give transforms.json with {DATAPARSER} next to it"
+        raise CameraError(f"{path}: {message}")
     if isinstance(content, list):
         return read_inria(content, str(path))
     if isinstance(content, dict) and isinstance(content.get("frames"), list):
-        return read_nerf(content, str(path), path.parent)
+        beside = path.parent / DATAPARSER
+        moved = json_of(beside) if beside.is_file() else None
+        return read_nerf(content, str(path), path.parent, moved if isinstance(moved, dict) else None)
+    if isinstance(content, dict) and {"transform", "scale"} <= content.keys():
+        raise CameraError(f"{path}: holds no cameras: put it next to the transforms.json of the scene, and give that")
     raise CameraError(f"{path}: is neither a list of cameras (INRIA) nor holds a list 'frames' (NeRF)")
+
+
+def json_of(path: Path) -> Any:
+    """The content of a JSON file; CameraError where it is none."""
+    try:
+        return json.loads(read_limited(path))
+    except (ValueError, RecursionError) as error:
+        where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
+        raise CameraError(f"{path}: is no JSON{where}") from None
 
 
 def read_limited(path: Path) -> bytes:

@@ -97,6 +97,15 @@ class Asset:
             found = np.maximum(found / np.float32(np.iinfo(dtype).max), np.float32(-1.0))
         return found
 
+    def blob(self, index: object) -> bytes:
+        """The bytes of a buffer view; FormatError where they do not lie in its buffer."""
+        view = self.row("bufferViews", index)
+        buffer = self._buffer(view.get("buffer"))
+        start, room = _whole(self, view, "byteOffset", "bufferView", 0), _whole(self, view, "byteLength", "bufferView")
+        if start + room > len(buffer):
+            raise self.fault(f"ends at byte {start + room} in a buffer of {len(buffer)}", f"bufferView {index}")
+        return bytes(buffer[start : start + room])
+
     def _buffer(self, index: object) -> memoryview:
         buffer = self.row("buffers", index)
         assert isinstance(index, int)  # `row` has seen to it

@@ -3,8 +3,9 @@
 Specification: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting (complete, ratified): points with
 linear scales and opacities, quaternions x, y, z, w, spherical harmonics with INRIA's signs, one accessor a
 coefficient. glTF's axes (left, up, front) are those of PLY turned by half a turn about z, as playcanvas/splat-transform
-and SPZ's converter take them. The compression by SPZ (KHR_gaussian_splatting_compression_spz_2, glTF pull request 2531)
-and by L-GSC (2551) are drafts: files that need them are refused by name.
+and SPZ's converter take them. Of the drafts, that of a compression by SPZ (KHR_gaussian_splatting_compression_spz_2) is
+read, since 3D Tiles are written so: with the axes that it prescribes, or where a primitive names no kernel, with those
+of Cesium's tiles, which hold glTF's axes as they are. Other drafts are refused by name.
 """
 
 import json
@@ -18,9 +19,10 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, shown_meshes
 from engine.formats.guards import check_count
-from engine.formats.repairs import Repair, clean, degree_dropped
+from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
-from engine.model import ATTRIBUTES, Float32, GaussianModel
+from engine.formats.spz.stream import read_spz
+from engine.model import Float32, Float64, GaussianModel, joined
 from engine.numerics.plain import Json
 from engine.numerics.similarity import transform_model
 
@@ -31,7 +33,8 @@ COLOR_SPACE = "srgb_rec709_display"
 TO_PLY = FrameChange(np.array([-1.0, -1.0, 1.0]))
 """Half a turn about z; its own inverse."""
 
-_KNOWN = {EXTENSION, "KHR_mesh_quantization", "KHR_materials_unlit"}
+SPZ = EXTENSION + "_compression_spz_2"
+_KNOWN = {EXTENSION, SPZ, "KHR_mesh_quantization", "KHR_materials_unlit"}
 """What a file may require: the second allows integers for positions, the third says how points look elsewhere."""
 _FLOAT, _POINTS, _ARRAY_BUFFER = 5126, 0, 34962
 _DRAFTS = ("KHR_gaussian_splatting_", "KHR_spz_", "EXT_gaussian_splatting")
@@ -69,20 +72,38 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
     if not shown:
         message = f"holds no Gaussians, only a mesh or points: no primitive that is shown has {EXTENSION}"
         raise UnsupportedFormatError(message, file=file, element="meshes")
-    total = sum(asset.length(_attributes(asset, primitive)["POSITION"]) for primitive, _ in shown)
-    check_count(total, len(data), file=file)
-    degree = min(max(_degree(asset, primitive) for primitive, _ in shown), 3)
+    plain = [_attributes(asset, primitive) for primitive, _ in shown if _spz_view(primitive) is None]
+    if plain:
+        check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), len(data), file=file)
     parts: list[GaussianModel] = []
     repairs: list[Repair] = []
+    origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
     for primitive, matrix in shown:
-        model, mended = _read_primitive(asset, primitive, (degree + 1) ** 2)
+        model, mended = (
+            _read_primitive(asset, primitive) if _spz_view(primitive) is None else _read_spz(asset, primitive)
+        )
         repairs += mended
         if (matrix != np.eye(4)).any():
             flip = np.diag([*TO_PLY.signs, 1.0])
-            model = transform_model(model, *as_similarity(flip @ matrix @ flip, file=file))
+            scale, rotation, shift = as_similarity(flip @ matrix @ flip, file=file)
+            if not parts and _is_far(shift, scale * model.scales):
+                origin = np.rint(shift)
+            model = transform_model(model, scale, rotation, shift - origin)
+        elif origin.any():
+            model = transform_model(model, 1.0, np.eye(3), -origin)
         parts.append(model)
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
-    return (parts[0] if len(parts) == 1 else GaussianModel(**whole)), tuple(repairs)  # type: ignore[arg-type]
+    if origin.any():
+        x, y, z = origin.tolist()
+        text = f"centers far out, which float32 would round: read relative to ({x:.0f}, {y:.0f}, {z:.0f})"
+        repairs.append(Repair("origin_moved", sum(map(len, parts)), text))
+        return joined(parts).with_(origin=(x, y, z)), tuple(repairs)
+    return joined(parts), tuple(repairs)
+
+
+def _is_far(shift: Float64, scales: Float32) -> bool:
+    """Whether float32 rounds centers there by more than `VISIBLE_ROUNDING` of a usual size."""
+    step = float(np.spacing(np.float32(np.abs(shift).max()))) / 2
+    return step > VISIBLE_ROUNDING * float(np.median(scales))
 
 
 def write_glb(model: GaussianModel) -> list[bytes]:
@@ -158,15 +179,25 @@ def _primitives(asset: Asset, mesh: object) -> Iterator[Mapping[str, Any]]:
             continue
         if not isinstance(said, dict):
             raise asset.fault("is no object", f"mesh {mesh}", EXTENSION)
-        if nested := said.get("extensions"):
-            raise _unsupported(asset, next(map(str, nested)) if isinstance(nested, dict) else str(nested))
-        for key, wanted in (("kernel", "ellipse"), ("colorSpace", COLOR_SPACE), ("projection", "perspective")):
-            if said.get(key, wanted if key == "projection" else None) != wanted:
-                message = f"{said.get(key)!r:.60} is not read here, only {wanted!r}"
-                raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION, prop=key)
+        _check_said(asset, said, mesh)
         if primitive.get("mode") != _POINTS:
             raise asset.fault(f"mode is {primitive.get('mode')!r:.20}, expected {_POINTS}", f"mesh {mesh}", "mode")
         yield primitive
+
+
+def _check_said(asset: Asset, said: Mapping[str, Any], mesh: object) -> None:
+    """Refuse what the extension of a primitive says and nothing here knows."""
+    nested = said.get("extensions", {})
+    if not isinstance(nested, dict) or set(nested) - {SPZ}:
+        raise _unsupported(asset, min(map(str, set(nested) - {SPZ})) if isinstance(nested, dict) else str(nested))
+    if nested and not isinstance(nested[SPZ], dict):
+        raise asset.fault("is no object", f"mesh {mesh}", SPZ)
+    if nested and "kernel" not in said:  # a tile of Cesium's
+        return
+    for key, wanted in (("kernel", "ellipse"), ("colorSpace", COLOR_SPACE), ("projection", "perspective")):
+        if said.get(key, wanted if key == "projection" else None) != wanted:
+            message = f"{said.get(key)!r:.60} is not read here, only {wanted!r}"
+            raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION, prop=key)
 
 
 def _attributes(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -189,9 +220,21 @@ def _degree(asset: Asset, primitive: Mapping[str, Any]) -> int:
     raise FormatError(message, file=asset.file, element="primitive")
 
 
-def _read_primitive(
-    asset: Asset, primitive: Mapping[str, Any], coefficients: int
-) -> tuple[GaussianModel, tuple[Repair, ...]]:
+def _spz_view(primitive: Mapping[str, Any]) -> object | None:
+    """The buffer view with an SPZ file in it, of a compressed primitive; -1, which is none, where it is not named."""
+    nested = primitive["extensions"][EXTENSION].get("extensions")
+    return nested[SPZ].get("bufferView", -1) if nested else None
+
+
+def _read_spz(asset: Asset, primitive: Mapping[str, Any]) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    as_stored = "kernel" not in primitive["extensions"][EXTENSION]
+    model, repairs = read_spz(asset.blob(_spz_view(primitive)), file=asset.file, frame="ply" if as_stored else "spec")
+    if as_stored:
+        TO_PLY.apply_signs(model.means, model.quats, model.sh)
+    return model, repairs
+
+
+def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[GaussianModel, tuple[Repair, ...]]:
     attributes = _attributes(asset, primitive)
     count = asset.length(attributes["POSITION"])
 
@@ -204,8 +247,8 @@ def _read_primitive(
 
     means, quats = values("POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
     scales, opacities = values("SCALE", 3), values("OPACITY", 1)[:, 0].astype(np.float64)
-    sh = np.zeros((count, coefficients, 3), dtype=np.float32)
     degree = _degree(asset, primitive)
+    sh = np.empty((count, (min(degree, 3) + 1) ** 2, 3), dtype=np.float32)
     for k, name in enumerate(coefficient_names(min(degree, 3))):
         sh[:, k] = values(name, 3)
     TO_PLY.apply_signs(means, quats, sh)

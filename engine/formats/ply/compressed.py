@@ -118,6 +118,19 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     return b"".join([header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), rest.tobytes()])
 
 
+def rounded_positions(means: Float32) -> npt.NDArray[np.float64]:
+    """(N, 3) centers as the file holds them, in the order given."""
+    order = morton_order(means)
+    values = means[order].astype(np.float64)
+    low, high = _chunk_bounds(means[order], -(-len(means) // CHUNK))
+    tops = np.array([2047, 1023, 2047])
+    steps = np.clip(np.floor(_within(values, low, high) * tops + 0.5), 0, tops) / tops
+    box = np.repeat(np.hstack([low, high]).astype(np.float64), CHUNK, axis=0)[: len(values)]
+    rounded = np.empty_like(values)
+    rounded[order] = _between(box, steps)
+    return rounded
+
+
 def _quantize_rest(sh: Float32, order: npt.NDArray[np.int64]) -> npt.NDArray[np.uint8]:
     """(N, 3 (K - 1)) bytes of all coefficients but the first, channel-major as in PLY, rows in that order."""
     coefficients = sh.shape[1] - 1

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from engine.errors import FormatError
 from engine.formats.ply.extras import named
 from engine.formats.ply.header import Element, Header, Property
-from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair
+from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
-__all__ = ["DC", "activation_hints", "dc_of_colors", "plain_names", "plain_types", "rounded_centers"]
+__all__ = ["COLORS", "DC", "activation_hints", "dc_of_colors", "georeferenced", "plain_names", "plain_types"]
 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
-_COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
 _CODE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"}
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
@@ -27,9 +27,6 @@ _SOUND_SHARE = 0.99
 """Of values that are no NaN: of random bits, one half float in 32 is infinite or none."""
 
 _LARGEST_HALF = 65504.0
-
-_VISIBLE_ROUNDING = 1 / 20
-"""Of a Gaussian's size: what a centre may be rounded by before it is worth a word."""
 
 _FEW = 64  # too few to say from their values what they are
 
@@ -49,7 +46,7 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
             count = sum(a != b for a, b in zip(names, new, strict=True))
             repairs.append(Repair("names_prefixed", count, f"the prefix {prefix[:40]!r} of {count} names was dropped"))
             names = new
-    colors = next((c for c in _COLORS if set(c) <= set(names)), None)
+    colors = next((c for c in COLORS if set(c) <= set(names)), None)
     if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:
         table = dict(zip(colors, DC, strict=True))
         names = [table.get(name, name) for name in names]
@@ -121,23 +118,57 @@ def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:
     return ((colors / np.float32(full) - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
 
 
-def rounded_centers(records: npt.NDArray[np.void], log_scales: Float32) -> list[Repair]:
-    """What is said where centres are doubles that float32 rounds by more than `_VISIBLE_ROUNDING` of a size."""
+def georeferenced(
+    records: npt.NDArray[np.void], means: Float32, log_scales: Float32
+) -> tuple[tuple[float, float, float], list[Repair]]:
+    """The origin to which centers that are doubles are moved, in place, where float32 would round some by more than
+    `VISIBLE_ROUNDING` of a size: their median, in whole units. What is rounded even so is told."""
+    origin = (0.0, 0.0, 0.0)
     if all(records.dtype[axis].itemsize < 8 for axis in "xyz"):
-        return []
-    error = np.zeros(len(records))
+        return origin, _coarse(means, log_scales)
     with np.errstate(over="ignore", invalid="ignore"):
-        for axis in "xyz":
-            exact = records[axis].astype(np.float64)
-            error = np.maximum(error, np.abs(exact - exact.astype(np.float32)))
-        rows = np.flatnonzero(np.isfinite(error) & (error > _VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1))))
-    if not len(rows):
+        exact = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)  # (N, 3)
+        allowed = VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1, dtype=np.float64))
+        rows, _ = _rounded(exact, allowed)
+        if not len(rows):
+            return origin, []
+        x, y, z = (float(np.rint(np.nanmedian(column))) for column in exact.T)
+        moved = exact - np.array([x, y, z])
+        left, error = _rounded(moved, allowed)
+        repairs = []
+        if len(left) < len(rows):
+            origin, means[:] = (x, y, z), moved
+            text = f"{len(rows)} centers are doubles that float32 would round: read relative to"
+            text += f" ({x:.0f}, {y:.0f}, {z:.0f}), which .ply gets back"
+            repairs.append(Repair("origin_moved", len(rows), text))
+    if len(left):
+        text = (
+            f"{len(left)} centers (first in row {left[0]}) are doubles that float32 rounds by up to {error:.2g}, more"
+            " than 1/20 of their Gaussian's size"
+        )
+        repairs.append(Repair("centers_rounded", len(left), text))
+    return origin, repairs
+
+
+def _coarse(means: Float32, log_scales: Float32) -> list[Repair]:
+    """What is said where most centers lie so far out that float32 had no digits left for them."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.spacing(np.abs(means).max(axis=1)) / 2
+        rows = np.flatnonzero(steps > VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1)))
+    if 2 * len(rows) <= len(means):
         return []
     text = (
-        f"{len(rows)} centers (first in row {rows[0]}) are doubles that float32 rounds by up to "
-        f"{error[rows].max():.2g}, more than 1/20 of their Gaussian's size: move the scene to the origin first"
+        f"{len(rows)} centers (first in row {rows[0]}) lie so far out that the file's float32 rounded them by up to"
+        f" {steps[rows].max():.2g}, more than 1/20 of their Gaussian's size: export doubles, or around a local origin"
     )
-    return [Repair("centers_rounded", len(rows), text)]
+    return [Repair("centers_coarse", len(rows), text)]
+
+
+def _rounded(exact: npt.NDArray[np.float64], allowed: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.intp], float]:
+    """Rows that float32 rounds by more than is allowed, and by how much at most."""
+    error = np.abs(exact - exact.astype(np.float32)).max(axis=1)
+    rows = np.flatnonzero(np.isfinite(error) & (error > allowed))
+    return rows, float(error[rows].max(initial=0.0))
 
 
 def activation_hints(log_scales: Float32, logits: Float32) -> list[Repair]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with_mode
 from engine.formats.ply.body import read_tables
-from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, plain_names, plain_types, rounded_centers
+from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, georeferenced, plain_names, plain_types
 from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codebooks, refuse_motion
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
@@ -22,6 +22,7 @@ from engine.model import DISC_THICKNESS, Float32, GaussianModel
 REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16, 72: 16}
 """Number of f_rest properties -> coefficients a channel that are read: of degree 4, those of degree 3."""
 
+_AXES = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
 _ANCHORS = ("f_anchor", "f_offset", "anchor_feat")
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
@@ -63,13 +64,15 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
         repairs.append(Repair("filter_fused", len(records), text))
         mode = mode or ANTIALIASED
     logits = arrays["opacity_logits"]
-    repairs += [*rounded_centers(records, arrays["log_scales"]), *activation_hints(arrays["log_scales"], logits)]
+    origin, moved = georeferenced(records, arrays["means"], arrays["log_scales"])
+    repairs += [*moved, *activation_hints(arrays["log_scales"], logits)]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
-    return with_mode(model, mode), (*repairs, *mended)
+    return with_mode(model.with_(origin=origin), mode), (*repairs, *mended)
 
 
 def write_ply(model: GaussianModel) -> Iterator[bytes]:
-    """The file in pieces: header, then rows; float32 little endian, INRIA's property order with zero normals.
+    """The file in pieces: header, then rows; float32 little endian, INRIA's property order with zero normals; the
+    centers of a model with an origin as doubles, with it added.
 
     Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them. Reading gives the same bits back.
     """
@@ -80,7 +83,8 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
     comment = comment_of(model) if not model.is_flat else []  # two scales say it
     lines = ["ply", "format binary_little_endian 1.0", *comment, f"element vertex {len(model)}"]
-    lines += [f"property float {name}" for name in names]
+    kinds = {name: "double" if any(model.origin) and name in _AXES else "float" for name in names}
+    lines += [f"property {kinds[name]} {name}" for name in names]
     yield ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
 
     arrays = {
@@ -93,11 +97,13 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     columns = _columns(arrays, frozenset(names))
     for start in range(0, len(model), _ROWS_AT_ONCE):
         stop = min(start + _ROWS_AT_ONCE, len(model))
-        table = np.zeros((stop - start, len(names)), dtype="<f4")
-        for j, name in enumerate(names):
-            if name in columns:
-                table[:, j] = columns[name][start:stop]
-        yield table.tobytes()
+        rows = np.zeros(stop - start, [(name, "<f8" if kinds[name] == "double" else "<f4") for name in names])
+        for name in columns.keys() & set(names):
+            rows[name] = columns[name][start:stop]
+        if any(model.origin):
+            for axis, shift in zip(_AXES, model.origin, strict=True):
+                rows[axis] += shift
+        yield rows.tobytes()
 
 
 def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[Repair]]:

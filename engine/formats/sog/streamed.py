@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.guards import check_count
@@ -12,7 +11,7 @@ from engine.formats.sog.archive import MAX_META_BYTES, META, Archive, Folder, Wi
 from engine.formats.sog.decoding import decode_scene
 from engine.formats.sog.levels import LOD_META, MAX_LOD_META_BYTES, LodMeta, parse_lod_meta
 from engine.formats.sog.meta import SogMeta, parse_meta
-from engine.model import ATTRIBUTES, GaussianModel
+from engine.model import GaussianModel, joined
 
 __all__ = ["read_streamed", "read_streamed_folder"]
 
@@ -56,11 +55,12 @@ def _read(archive: Archive, file: str) -> tuple[GaussianModel, tuple[Repair, ...
             kept[offset : offset + count] = True
         model, mended = decode_scene(meta, chunk, file=file)
         repairs += mended
-        parts.append(_rows(model, kept if rows else np.ones_like(kept), file, name))
+        here = kept if model.file_rows is None else kept[model.file_rows.rows]
+        parts.append(model.take(here).with_(file_rows=None) if rows else model)
     if index.left_out:
         text = f"{index.left_out} Gaussians of coarser levels were left out: they repeat the scene"
         repairs.append(Repair("levels_left_out", index.left_out, text))
-    return _joined(parts), tuple(repairs)
+    return joined(parts), tuple(repairs)
 
 
 def _wanted(index: LodMeta) -> dict[str, list[tuple[int, int]]]:
@@ -75,25 +75,3 @@ def _wanted(index: LodMeta) -> dict[str, list[tuple[int, int]]]:
 
 def _meta(archive: Archive, name: str, file: str) -> SogMeta:
     return parse_meta(archive.read(name, MAX_META_BYTES), file=f"{file}, {name}")
-
-
-def _rows(model: GaussianModel, kept: npt.NDArray[np.bool_], file: str, name: str) -> GaussianModel:
-    if kept.all():
-        return model
-    if len(model) != len(kept):  # a dropped row has moved all behind it
-        message = (
-            f"{len(kept) - len(model)} rows are unusable, so rows of a part cannot be counted: read the whole scene"
-        )
-        raise FormatError(message, file=file, element=name)
-    return model.take(kept)
-
-
-def _joined(parts: list[GaussianModel]) -> GaussianModel:
-    width = max(part.sh.shape[1] for part in parts)
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES if name != "sh"}
-    sh = np.zeros((len(whole["means"]), width, 3), dtype=np.float32)
-    start = 0
-    for part in parts:
-        sh[start : start + len(part), : part.sh.shape[1]] = part.sh
-        start += len(part)
-    return parts[0].with_(**whole, sh=sh, antialiased=all(part.antialiased for part in parts))

@@ -11,7 +11,7 @@ from engine.flows.views.camera_rig import measure_extent
 from engine.lab.sim.attack import Attacks
 from engine.lab.sim.model_population import crop
 from engine.lab.sim.physics import deformations
-from engine.model import ATTRIBUTES, Float32, Float64, GaussianModel
+from engine.model import Float32, Float64, GaussianModel, joined
 from engine.numerics.similarity import MIRROR, mirror_model, quaternion_to_rotation, transform_model
 
 __all__ = ["ATTACKS", "foreign_scene", "join"]
@@ -104,10 +104,7 @@ def shuffle(model: GaussianModel, strength: float, rng: np.random.Generator) -> 
 def join(*models: GaussianModel) -> GaussianModel:
     """All models in one, in their order; SH padded with zeros to the highest of their degrees. Antialiased where all
     of them are."""
-    width = max(model.sh.shape[1] for model in models)
-    parts = [m.with_(sh=np.pad(m.sh, ((0, 0), (0, width - m.sh.shape[1]), (0, 0)))) for m in models]
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
-    return GaussianModel(**whole, antialiased=all(model.antialiased for model in models))
+    return joined(models)
 
 
 def _move(model: GaussianModel, factor: float, rotation: Float64, shift: Float64) -> GaussianModel:

@@ -90,6 +90,29 @@ class BlurConfig:
 
 
 @dataclass(frozen=True)
+class ColorChangeConfig:
+    """Colors of a model that were averaged or denoised (`color_change`)."""
+
+    neighbors: int = 8  # over which an average is taken, the Gaussian itself among them
+    rounds: tuple[int, ...] = (1, 4, 16)  # of averaging, after which it is looked at
+    run: int = 16  # Gaussians of a run in the first look
+    # Share of what the picture is off by that runs must explain in the first look: 0.4 and more of averaged colors,
+    # 0.05 and more of denoised ones; of others below 0.016, but for blurred pictures (0.13)
+    looks: float = 0.03
+    surely: float = 0.6  # share that averages explain from which nothing else is tried
+    explained: float = 0.3  # and that the better of both must
+    limits: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0)  # of a misfit, in the mark's size
+    opaque: float = 0.9  # opacity of the reference from which a pixel shows the model
+    clipped: float = 0.985  # brighter pixels say nothing
+    samples: int = 40_000  # pixels on which it is fitted
+    least_samples: int = 2_000  # with fewer, nothing is fitted
+    fits: int = 2  # of the robust fit
+    outlying: float = 3.0  # root mean square residuals at which a pixel counts for half
+    ridge: float = 1e-9  # of the trace of the normal matrix
+    most_gaussians: int = 4_000_000  # of a model that is smoothed: ten million take too much memory
+
+
+@dataclass(frozen=True)
 class BackgroundConfig:
     """What lies behind the model (`background`)."""
 
@@ -129,6 +152,21 @@ class ToneConfig:
     better: float = 0.8  # a curve fitted together with the mixture must miss by this share of what the plain one does
     bent_knots: int = 65  # of such a curve
     bent_rounds: int = 3  # of its fit
+
+
+@dataclass(frozen=True)
+class ViewerToneConfig:
+    """Tone curves that a viewer applies to every Gaussian (`viewer_tone`)."""
+
+    side: int = 256  # longer side of the renders that tell, pixels
+    solid: float = 0.95  # opacity of the reference from which a pixel counts
+    clipped: float = 0.985  # brighter pixels of the picture do not
+    least_pixels: int = 500  # fewer do not tell
+    # A curve must miss by this share of what the plain render, and a curve of it, do: of 41 pictures of two viewers the
+    # right curves came to 0.68 to 0.93 but for one, curves that were not there to 1.00 and more
+    better: float = 0.95
+    knots: int = 9  # of that curve
+    step: float = 0.01  # over which slopes are measured
 
 
 @dataclass(frozen=True)
@@ -182,9 +220,11 @@ class AlignmentConfig:
     planar: PlanarConfig = PlanarConfig()
     flow: FlowConfig = FlowConfig()
     blur: BlurConfig = BlurConfig()
+    color_change: ColorChangeConfig = ColorChangeConfig()
     background: BackgroundConfig = BackgroundConfig()
     detail: DetailConfig = DetailConfig()
     tone: ToneConfig = ToneConfig()
+    viewer_tone: ViewerToneConfig = ViewerToneConfig()
     light: LightConfig = LightConfig()
     residual: ResidualConfig = ResidualConfig()
 

@@ -102,16 +102,16 @@ class Candidates:
             if closer is not None:
                 yield closer
 
-    def by_edges(self, far: FarViews) -> Iterator[Candidate]:
+    def by_edges(self, far: FarViews, parts: bool = True) -> Iterator[Candidate]:
         """Cameras that fit by outlines, edges and colors: climbed to from the best views and from the voted ones; and
-        from close-ups, where nothing fits well."""
+        from close-ups, where nothing fits well and the picture may show `parts`."""
         pictures = [PictureEdges.of(self._picture.turned(mirrored)) for mirrored in (False, True)]
         starts = _starts(far.views, pictures, CONFIG.edges.radii)
         for view, mirrored in self._voted:
             height, width = pictures[mirrored].small.shape[:2]
             starts.append(Climbed(0.0, view.camera.resized(width, height), int(mirrored)))
         climbed = climb(far.model, pictures, starts)
-        if max((each.score for each in climbed), default=0.0) < CONFIG.edges.fitting:
+        if parts and max((each.score for each in climbed), default=0.0) < CONFIG.edges.fitting:
             nearer = climb(far.model, pictures, _starts(far.parts, pictures, CONFIG.edges.close_radii))
             climbed = sorted([*climbed, *nearer], key=lambda each: -each.score)[: CONFIG.edges.rounds[-1].kept]
         for each in climbed:

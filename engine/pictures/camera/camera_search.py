@@ -6,13 +6,14 @@
    ladder of focal lengths gives a camera, which is refined on a small picture. If that does not settle it, the
    candidate of the picture's mirror image competes.
 2. Full size at once, for a settled candidate that nearly explains the small picture, or where the picture is blurred.
-3. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
-4. A page around the viewer (`viewer_frame`): the search begins again within the frame.
-5. The camera of step 2 or 4, if there is one, is the result.
-6. All other keypoint candidates.
-7. Views of the bank that keypoints vote for (`voted_views`).
-8. Outlines, edges and colors of many views (`view_search`), and a climb from the best (`view_climb`).
-9. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, blurred as the
+3. A plain ground with something small on it (`plain_ground`): the search begins again with that alone.
+4. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
+5. A page around the viewer (`viewer_frame`): the search begins again within the frame.
+6. The camera of step 2 or 5, if there is one, is the result.
+7. All other keypoint candidates.
+8. Views of the bank that keypoints vote for (`voted_views`).
+9. Outlines, edges and colors of many views (`view_search`), and a climb from the best (`view_climb`).
+10. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, blurred as the
    picture is (`alignment.blur`), to about a hundredth of a pixel.
 
 A picture of another scene fails at the correlation with the render, or at the correlation of their details
@@ -36,6 +37,7 @@ from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.found_camera import FoundCamera
+from engine.pictures.camera.plain_ground import find_subject
 from engine.pictures.camera.pose_refinement import Refined
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
@@ -50,6 +52,7 @@ class CameraConfig:
     focals: tuple[float, ...] = CONFIG.focals  # at which poses from keypoints are sought, widths of the picture
     other_focals: tuple[float, ...] = CONFIG.other_focals  # tried where refinement from these fails, in those
     framed: bool = True  # the picture may show something else around the viewer
+    parts: bool = True  # it may show a part of the model, large
     uneven: bool = True  # it may have been scaled unevenly, or be the photograph of a screen
 
 
@@ -91,28 +94,31 @@ def find_camera(
     candidates = Candidates(picture, landmarks, config.focals, config.other_focals)
     keypoint_candidates = {mirrored: candidates.by_keypoints(mirrored) for mirrored in (False, True)}
     look = _first_look(picture, keypoint_candidates)  # 1, 2
-    if config.uneven and not look.explained:  # 3
+    subject = find_subject(image) if config.framed and not look.explained else None
+    if subject is not None:  # 3
+        return _of_subject(image, subject, config, partial(find_camera, landmarks, reference_model, far=far, bank=bank))
+    if config.uneven and not look.explained:  # 4
         search = partial(find_camera, landmarks, reference_model, config=replace(config, uneven=False))
         squared = _with_square_pixels(look, candidates, image, search)
         if squared is not None:
             return squared
     found = look.full
-    if config.framed and not look.explained:  # 4
+    if config.framed and not look.explained:  # 5
         inner = replace(config, framed=False, uneven=False)
         search = partial(find_camera, landmarks, reference_model, config=inner, far=far, bank=bank)
         found = _within_frame(look, picture, candidates, image, search)
-    if found is not None:  # 5
+    if found is not None:  # 6
         return found
     strongest = look.strongest
     mirrored = strongest is not None and strongest.mirrored
-    best = _best_candidate(picture, keypoint_candidates[mirrored], look.best)  # 6
+    best = _best_candidate(picture, keypoint_candidates[mirrored], look.best)  # 7
     if strongest is None or not strongest.supported:
         best = _best_candidate(picture, keypoint_candidates[not mirrored], best)
-    if bank is not None and (best is None or not best.sure):  # 7
+    if bank is not None and (best is None or not best.sure):  # 8
         best = _best_candidate(picture, candidates.by_votes(bank()), best)
-    if far is not None and (best is None or not best.sure):  # 8
-        best = _best_candidate(picture, candidates.by_edges(far()), best)
-    return None if best is None else _refine_to_full_size(picture, best)  # 9
+    if far is not None and (best is None or not best.sure):  # 9
+        best = _best_candidate(picture, candidates.by_edges(far(), config.parts), best)
+    return None if best is None else _refine_to_full_size(picture, best)  # 10
 
 
 def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCamera) -> FoundCamera | None:
@@ -154,10 +160,20 @@ def _first_look(picture: Picture, keypoint_candidates: Mapping[bool, Iterator[Ca
     return replace(look, full=full) if full is not None and _explained(full) else look
 
 
+def _of_subject(
+    image: Float32, subject: tuple[slice, slice], config: CameraConfig, search: Callable[..., FoundCamera | None]
+) -> FoundCamera | None:
+    """Step 3: what `search` finds in the middle of the picture, with the lenses of the whole."""
+    part = np.ascontiguousarray(image[subject])
+    focals = tuple(focal * image.shape[1] / part.shape[1] for focal in config.focals)
+    found = search(part, config=replace(config, focals=focals, framed=False, parts=False, uneven=False))
+    return None if found is None else replace(found, frame=subject)
+
+
 def _with_square_pixels(
     look: _FirstLook, candidates: Candidates, image: Float32, search: Callable[[Float32], FoundCamera | None]
 ) -> FoundCamera | None:
-    """Step 3: what `search` finds in the picture with square pixels, or in the picture as it is, if that is better."""
+    """Step 4: what `search` finds in the picture with square pixels, or in the picture as it is, if that is better."""
     shape = candidates.shape(look.strongest)
     squared = None if shape is None else search(shape.undo(image))
     if squared is None:
@@ -176,7 +192,7 @@ def _within_frame(
     image: Float32,
     search: Callable[[Float32], FoundCamera | None],
 ) -> FoundCamera | None:
-    """Step 4: what `search` finds within a frame, or the camera of the whole picture if that explains more."""
+    """Step 5: what `search` finds within a frame, or the camera of the whole picture if that explains more."""
     whole = look.full
     frame = candidates.frame(look.strongest) if look.strongest is not None and look.strongest.supported else None
     if frame is None or min(image[frame].shape[:2]) < CONFIG.least_side:

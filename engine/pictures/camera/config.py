@@ -197,6 +197,20 @@ class FrameConfig:
 
 
 @dataclass(frozen=True)
+class GroundConfig:
+    """Something on a plain ground (`plain_ground`)."""
+
+    side: int = 320  # longer side of the reduced picture, pixels
+    plain: float = 0.03  # difference of color up to which a pixel of the border is ground,
+    least_border: float = 0.95  # as this share of them must be
+    other: float = 0.05  # and from which a pixel is not: JPEG's ringing is fainter
+    joined: int = 3  # pixels by which what is near is one part
+    least_part: float = 0.05  # of the largest part's area: smaller ones are buttons, or floaters
+    margin: float = 0.1  # around it, of its longer side: ground must be seen
+    most: float = 0.85  # of the picture's longer side, above which the picture is searched as it is
+
+
+@dataclass(frozen=True)
 class CameraSearchConfig:
     """The search itself (`camera_search`), and its stages."""
 
@@ -231,6 +245,7 @@ class CameraSearchConfig:
     refinement: RefinementConfig = RefinementConfig()
     shape: ShapeConfig = ShapeConfig()
     frame: FrameConfig = FrameConfig()
+    ground: GroundConfig = GroundConfig()
 
 
 CONFIG = CameraSearchConfig()

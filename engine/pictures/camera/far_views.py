@@ -5,7 +5,7 @@ Nothing here sees a key or a chip.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -24,10 +24,11 @@ _AXIS = 21
 
 
 class FarViews:
-    """A model seen by cameras all around it, each reduced to `side` pixels; rendered at first use."""
+    """A model seen by cameras all around it, each reduced to `side` pixels; rendered at first use. Close-ups are made
+    of what others show, where `close` names them."""
 
-    def __init__(self, model: GaussianModel, cameras: Sequence[Camera]) -> None:
-        self._whole, self._cameras = model, cameras
+    def __init__(self, model: GaussianModel, cameras: Sequence[Camera], close: Sequence[Camera] | None = None) -> None:
+        self._whole, self._cameras, self._close = model, cameras, close
 
     @cached_property
     def model(self) -> GaussianModel:
@@ -43,11 +44,16 @@ class FarViews:
     @cached_property
     def parts(self) -> list[ViewPoints]:
         """From `nearer` than the cameras, each aimed at `parts` places of what its camera sees."""
-        return self._described(_aimed(view, place) for view in self._away for place in _places(view))
+        away = self._away if self._close is None else self._described(self._small(self._close))
+        return self._described(_aimed(view, place) for view in away for place in _places(view))
 
     @cached_property
     def _away(self) -> list[ViewPoints]:
-        return self._described(camera.with_side(CONFIG.edges.side) for camera in self._cameras)
+        return self._described(self._small(self._cameras))
+
+    @staticmethod
+    def _small(cameras: Sequence[Camera]) -> Iterator[Camera]:
+        return (camera.with_side(CONFIG.edges.side) for camera in cameras)
 
     def _described(self, cameras: Iterable[Camera]) -> list[ViewPoints]:
         model = self.model

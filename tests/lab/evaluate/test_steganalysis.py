@@ -13,6 +13,7 @@ from engine.formats import read_model
 from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.intervals import area, area_interval
 from engine.lab.evaluate.report import write_report
+from engine.lab.evaluate.steganalysis.copy_differences import compare_copies
 from engine.lab.evaluate.steganalysis.learned_detectors import detect_as_stranger, divide, float_born, measure_regions
 from engine.lab.evaluate.steganalysis.picture_detectors import DETECTORS, chi_square, fuse, replace_lsb
 from engine.lab.evaluate.steganalysis.steganalysis_study import STUDY
@@ -20,6 +21,7 @@ from engine.lab.evaluate.study import Options
 from engine.raster import render
 
 PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
+TRAIN = Path(PLANT).parent / "train_1000.ply"
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +137,12 @@ def test_cells_of_several_scenes() -> None:
     assert len(set(names)) == len(names)
     assert "stranger-own-format" in names
     assert "insider-1-qim-floats" in names
+
+
+@pytest.mark.slow
+def test_differences_of_copies_tell_their_own_layer_and_not_the_owners() -> None:
+    rows = {row["secret"]: row for row in compare_copies(str(TRAIN), "fast", "floats", 2, 0)}
+    assert rows["check"]["difference_auc"] > 0.75
+    assert rows["signs"]["difference_auc"] == pytest.approx(0.5, abs=0.02)
+    assert rows["signs"]["cases"] == 12_000
+    assert 0.4 < rows["borders"]["difference_auc"] < 1.0

@@ -5,12 +5,19 @@ from __future__ import annotations
 import hashlib
 import io
 import itertools
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import sqlalchemy as sa
 from PIL import Image
 
+from engine.errors import UnsupportedFormatError
+from service.db.schema import jobs
+from service.uploads import ingest
+from service.work.inputs import load_model
 from tests.formats.gltf_files import asset_of, gltf_of, splats
 from tests.service.api.conftest import PLANT, SMALL, Api
 
@@ -117,6 +124,29 @@ def test_a_model_whose_first_number_reads_like_another_file(api: Api, head: byte
     slot = api.upload(head + PLANT.read_bytes()[len(head) : 32 * 3000], "copy.splat")
     info = api.client.get(f"/v1/uploads/{slot}").json()["info"]
     assert (info["kind"], info["format"], info["gaussians"]) == ("model", "splat", 3000)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"), [("room.psht", "Postshot"), ("a\\b\x07/scan.OBJ", "mesh"), ("x.ply", "none of")]
+)
+def test_the_ending_of_an_uploads_name_is_known_to_its_reader(api: Api, name: str, says: str) -> None:
+    """Of bytes that tell nothing, the name is all that there is."""
+    slot = api.client.post("/v1/uploads", json={"name": name}).json()["id"]
+    answer = api.client.put(f"/v1/uploads/{slot}", content=bytes(77)).json()
+    assert answer["type"].endswith("unreadable-model")
+    assert says in answer["detail"]
+
+
+def test_the_reader_in_a_job_knows_the_name(api: Api, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What is too large to be looked at on arrival is read by its job for the first time."""
+    monkeypatch.setattr(ingest, "INSPECTED_BYTES", 0)
+    files = {"model": ("room.psht", bytes(77))}
+    job = api.client.post("/v1/embed", data={"key_id": api.key()}, files=files).json()["id"]
+    (row,) = api.service.db.query(sa.select(jobs).where(jobs.c.id == job)).all()
+    run = SimpleNamespace(folder=tmp_path)
+    task = api.service.local_model(json.loads(row.request), run)  # type: ignore[arg-type]
+    with pytest.raises(UnsupportedFormatError, match="Postshot"):
+        load_model(task)
 
 
 def test_a_gltf_is_a_model_though_it_is_json(api: Api) -> None:

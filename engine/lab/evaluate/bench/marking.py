@@ -48,7 +48,7 @@ FIELDS = (
     "ssim_worst_view",
     "psnr_total_worst_view",
     "psnr_pruned_worst_view",
-    "predicted_z_per_bit",
+    "predicted_z_viewer",
     "capacity_bits",
 )
 

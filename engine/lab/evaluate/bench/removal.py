@@ -13,7 +13,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from engine.compress.hvq import HvqConfig, group_means, quantize
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
@@ -27,7 +26,8 @@ from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
-from engine.watermark.unpredictability import guess
+from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
+from engine.watermark.unpredictability import public_misfit
 
 WASHES = (2.0, 4.0, 5.5, 8.0, np.inf)
 """Multiples of the mark's usual size that are taken off at most; without limit, all that is not explained."""
@@ -54,13 +54,9 @@ SIDE = 640
 
 def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
     """Colours without what the neighbouring cells do not explain, of which at most `times` the mark's `size` goes."""
-    weights = np.exp(model.log_scales.astype(np.float64).sum(axis=1) * (2.0 / 3.0))  # about the area it covers
-    stage = quantize(model, weights, measure_extent(model).radius, HvqConfig())[0]
-    centers = group_means(model.means, stage.labels, weights).astype(np.float64)
-    colors = stage.codebook[:, :3].astype(np.float64)
-    missed = colors - guess(centers, colors)[0]
+    missed = public_misfit(model, measure_extent(model).radius)
     taken = missed if np.isinf(times) else times * size * np.tanh(missed / (SOFT * size))
-    return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)[stage.labels]))
+    return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)))
 
 
 def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:
@@ -91,7 +87,7 @@ def measure_removal(scene: str, seed: int, profile: str) -> list[Row]:
     truth = [render(marked.original, camera) for camera in judged]
     rows = []
     for name, suspect in _ways(model, size, seed):
-        found = verify_model(suspect, marked.opened, VerifyConfig())
+        found = verify_model(suspect, marked.opened, VerifyConfig(false_claim_rate=DISHONEST_CLAIMANT_RATE))
         pictures = [to_8_bit(render(suspect, camera)) for camera in shown]
         seen = verify_images(pictures, marked.opened, cameras=shown).claim
         paid = min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, judged, strict=True))

@@ -93,7 +93,7 @@ def _embed(scene: str, seed: int, profile: str, repeats: int) -> list[Row]:
         "seconds_by_stage": stage_medians([report["seconds_by_stage"] for report in timed]),
         "peak_memory_mb": peak_memory_mb(),
     }
-    return [row | {name: timed[-1][name] for name in ("psnr_worst_view", "ssim_worst_view", "predicted_z_per_bit")}]
+    return [row | {name: timed[-1][name] for name in ("psnr_worst_view", "ssim_worst_view", "predicted_z_viewer")}]
 
 
 def measure_verify(scene: str, seed: int, profile: str, repeats: int) -> list[Row]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from engine.lab.evaluate.figures import FAINT, Figure, figure, label_line, styles
 from engine.lab.evaluate.intervals import area, area_interval
+from engine.lab.evaluate.steganalysis.copy_differences import SECRETS, STRANGER, compare_copies
 from engine.lab.evaluate.steganalysis.learned_detectors import FORMS, detect_as_insider, detect_as_stranger
 from engine.lab.evaluate.steganalysis.picture_detectors import DETECTORS, look_at_renders
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
@@ -47,6 +48,11 @@ def cells(options: Options) -> list[Cell]:
         for method, form in [*(("ours", form) for form in forms), *((method, FORMS[0]) for method in methods)]:
             name = f"insider-{number}-{method}-{form.replace(' ', '-')}"
             made.append(Cell.of(name, detect_as_insider, **common, path=path, keys=keys, form=form, method=method))
+        name, arguments = (
+            f"differences-{number}",
+            {**common, "path": path, "form": "floats", "pairs": 1 if options.quick else 2},
+        )
+        made.append(Cell.of(name, compare_copies, **arguments))
     for form in forms if len(options.scenes) > 1 else ():
         arguments = {**common, "paths": list(options.scenes), "form": form, "keys": max(1, keys // 2)}
         made.append(Cell.of(f"stranger-{form.replace(' ', '-')}", detect_as_stranger, **arguments))
@@ -58,12 +64,18 @@ def report(rows: list[Row], options: Options) -> Report:
     pictures = [row for row in rows if "fusion" in row]
     learned = [row for row in rows if "auc" in row]
     areas = [_compared(pictures, name) for name in (*DETECTORS, "fusion")]
-    bars = [_fusion_bar(areas[-1]), *_check_bars(pictures), *_learned_bars(learned)]
+    compared = [row for row in rows if "difference_auc" in row]
+    bars = [_fusion_bar(areas[-1]), *_check_bars(pictures), *_learned_bars(learned), *_difference_bars(compared)]
     seen = [f"{bar.what}: {bar.measured}" for bar in bars if bar.met is False]
     answer = "Not everything stays at chance: " + "; ".join(seen) + "."
     return Report(
         bars,
-        [_pictures_section(pictures, areas), _check_section(pictures), _learned_section(learned)],
+        [
+            _pictures_section(pictures, areas),
+            _check_section(pictures),
+            _learned_section(learned),
+            _difference_section(compared),
+        ],
         answer=[answer if seen else "Every detector that was tried stays at chance."],
         summary={"auc": {found["name"]: {field: found[field] for field in ("auc", "low", "high")} for found in areas}},
     )
@@ -128,6 +140,41 @@ def _learned_bars(rows: Sequence[Row]) -> list[Bar]:
         promise = "Learned detector on attributes, stranger: AUC of a region"
         bars.append(Bar(promise, CHANCE, "needs at least two scenes", None))
     return bars
+
+
+def _difference_bars(rows: Sequence[Row]) -> list[Bar]:
+    chance = {row["scene"]: row["difference_auc"] for row in picked(rows, secret=STRANGER)}
+    bars = []
+    for secret in SECRETS:
+        off = {
+            row["scene"]: row["difference_auc"] - (chance[row["scene"]] if secret == "borders" else 0.5)
+            for row in picked(rows, secret=secret)
+        }
+        if not off:
+            continue
+        worst = max(off, key=lambda scene: abs(off[scene]))
+        wanted = f"chance +- {HALF_WIDTH}"
+        measured = f"chance {off[worst]:+.4f} ({worst})"
+        promise = f"Differences of two copies: AUC of the owner's {secret}, worst scene"
+        bars.append(Bar(promise, wanted, measured, abs(off[worst]) <= HALF_WIDTH))
+    return bars
+
+
+def _difference_section(rows: Sequence[Row]) -> Section:
+    text = (
+        "Two copies of one asset differ in the layer that tells recipients apart. A classifier that knows the owner's "
+        "secrets on half of the Gaussians is asked for those of the other half; the check asks for the signs of the "
+        "first copy's own layer, which the difference does tell. Borders of public cells are in every key's cells: "
+        "chance is what the difference tells of another key's."
+    )
+    columns = {
+        "asked for": "secret",
+        "form": "form",
+        "scene": "scene",
+        "AUC": "{difference_auc:.4f}",
+        "cases": "{cases:,}",
+    }
+    return Section("Differences of two copies", [text], [table(rows, *columns.items())], [])
 
 
 def _off(row: Row) -> float:

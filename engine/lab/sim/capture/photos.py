@@ -10,6 +10,7 @@ import numpy.typing as npt
 from engine.errors import CameraError, InputError
 from engine.flows.progress import Clock, Progress
 from engine.formats.cameras.colmap import PosedPhoto
+from engine.formats.cameras.fisheye import FisheyeCamera
 from engine.lab.points.reconstruction import Reconstruction, read_reconstruction
 from engine.lab.sim.capture.capture_kernels import kernels_from_points
 from engine.lab.sim.capture.trainer import TrainConfig, Trainer
@@ -59,6 +60,8 @@ def undistort(pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None
         raise InputError(f"size is {size}, expected at least 1 pixel")
     height, width = pixels.shape[:2]
     camera = photo.camera.resized(width, height)
+    if isinstance(photo.camera, FisheyeCamera):
+        pixels, camera = photo.camera.undistort(pixels)
     if any(photo.distortion):
         zoom = _zoom(camera, photo)
         new = camera.K.copy()

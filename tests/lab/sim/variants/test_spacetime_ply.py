@@ -136,3 +136,13 @@ def test_other_properties_are_reported(model: SpacetimeModel, data: bytes) -> No
     _, repairs = read_spacetime_ply(data.replace(b" nx\n", b" heat\n"), file="a.ply")
     assert [r.code for r in repairs] == ["extra_properties"]
     assert "heat" in repairs[0].text
+
+
+def test_a_second_fault_of_a_clip_is_named_by_its_row_in_the_file(model: SpacetimeModel) -> None:
+    model.means[1] = np.nan
+    model.log_scales[4] = -99.0
+    _, repairs = read_spacetime_ply(b"".join(write_spacetime_ply(model)), file="f")
+    assert [(each.code, "row 1" in each.text, "row 4" in each.text) for each in repairs] == [
+        ("rows_dropped", True, False),
+        ("scales_clamped", False, True),
+    ]

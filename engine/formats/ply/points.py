@@ -1,0 +1,52 @@
+"""Colored points as Gaussians of one size: what is left of a model that was exported as a point cloud, or as a mesh
+with colors at its corners."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from engine.formats.ply.body import read_tables
+from engine.formats.ply.dialects import COLORS, dc_of_colors
+from engine.formats.ply.header import parse_header
+from engine.formats.repairs import Repair, clean
+from engine.model import GaussianModel
+
+__all__ = ["read_points"]
+
+_OPACITY_LOGIT = 2.2
+"""Of each point, 0.9: what is seen is nearly the nearest."""
+
+_SAMPLE, _NEIGHBOR = 4096, 4
+
+
+def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]] | None:
+    """Points of a PLY with a place and a color each; None where it has none of them, or is no PLY.
+
+    Every one becomes a ball of half the median distance to its fourth neighbor. Such a model is a suspect only: to mark
+    or convert it would be to make up what it lacks.
+    """
+    if not data.startswith((b"ply\n", b"ply\r")):
+        return None
+    header = parse_header(data, file=file)
+    vertex = header.element("vertex")
+    colors = None if vertex is None else next((c for c in COLORS if set(c) <= vertex.names), None)
+    if vertex is None or colors is None or not {"x", "y", "z"} <= vertex.names or not vertex.count:
+        return None
+    records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = np.stack([records[axis].astype(np.float32) for axis in "xyz"], axis=1)
+        rgb = np.stack([records[color].astype(np.float32) for color in colors], axis=1)
+    dc = dc_of_colors(rgb, records.dtype[colors[0]])
+    count = len(means)
+    sound = means[np.isfinite(means).all(axis=1)]
+    size = 1.0
+    if len(sound) > _NEIGHBOR:
+        some = sound[:: -(-len(sound) // _SAMPLE)]
+        size = float(np.median(cKDTree(sound).query(some, k=_NEIGHBOR + 1)[0][:, -1])) / 2
+    logs = np.full((count, 3), np.log(size) if size > 0 else 0.0, np.float32)
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+    model, repairs = clean(means, logs, quats, np.full(count, _OPACITY_LOGIT, np.float32), dc[:, None], file=file)
+    text = (
+        f"{count} colored points, no Gaussians: compared by their places and colors alone; a mark that is not found in"
+        " them says little"
+    )
+    return model, (Repair("points", count, text), *repairs)

@@ -1,0 +1,1 @@
+"""OpenUSD with ParticleField3DGaussianSplat. Start at `scene`; `process` is what opens files of others."""

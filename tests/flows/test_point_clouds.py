@@ -1,0 +1,69 @@
+"""A marked model that somebody made a colored point cloud of is still a suspect, and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.errors import UnsupportedFormatError
+from engine.flows.embed.embedding import embed
+from engine.flows.embed.profiles import profile
+from engine.flows.records.opened_record import OpenedRecord, open_record
+from engine.flows.verify.search import verify_model
+from engine.formats import read_model
+from engine.model import SH_C0, GaussianModel
+from engine.scenes.scene_files import read_scene, read_suspect
+from engine.watermark.keys import OwnerKey
+from tests.scenes import sparse_plant
+
+KEY = OwnerKey(bytes(range(32)))
+
+
+@pytest.fixture(scope="module")
+def marked() -> tuple[GaussianModel, OpenedRecord]:
+    model = read_model(sparse_plant("ply")).model
+    made = embed(model, KEY, original_sha256="0" * 64, config=profile("fast", landmark_views=0))
+    return made.model, open_record(made.record.to_bytes(KEY), KEY)
+
+
+def cloud_of(model: GaussianModel, faces: int = 0) -> bytes:
+    """What programs export: places, and colors in bytes; with faces a mesh."""
+    rgb = np.clip(np.rint((0.5 + SH_C0 * model.sh[:, 0]) * 255), 0, 255).astype(np.uint8)
+    rows = np.zeros(len(model), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    rows["xyz"], rows["rgb"] = model.means, rgb
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]
+    lines += [f"property float {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
+    corners = b""
+    if faces:
+        lines += [f"element face {faces}", "property list uchar int vertex_indices"]
+        corners = np.array([(3, (0, 1, 2))] * faces, [("n", "u1"), ("at", "<i4", 3)]).tobytes()
+    return "\n".join([*lines, "end_header", ""]).encode() + rows.tobytes() + corners
+
+
+@pytest.mark.parametrize("faces", [0, 7])
+def test_the_mark_is_read_where_points_are_the_centers(
+    tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord], faces: int
+) -> None:
+    model, opened = marked
+    (tmp_path / "cloud.ply").write_bytes(cloud_of(model, faces))
+    loaded = read_suspect(tmp_path / "cloud.ply")
+    assert (loaded.format, [each.code for each in loaded.repairs]) == ("points", ["points"])
+    found = verify_model(loaded.model, opened)
+    assert found.claim.verdict == "marked"
+    with pytest.raises(UnsupportedFormatError, match="is a colored point cloud"):
+        read_scene(tmp_path / "cloud.ply")
+
+
+def test_points_of_the_unmarked_model_carry_nothing(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:
+    (tmp_path / "cloud.ply").write_bytes(cloud_of(read_model(sparse_plant("ply")).model))
+    found = verify_model(read_suspect(tmp_path / "cloud.ply").model, marked[1])
+    assert found.claim.verdict != "marked"
+
+
+def test_points_without_colors_stay_refused(tmp_path: Path) -> None:
+    bare = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % a for a in b"xyz")
+    (tmp_path / "bare.ply").write_bytes(bare + b"end_header\n1 2 3\n")
+    with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):
+        read_suspect(tmp_path / "bare.ply")
