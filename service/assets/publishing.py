@@ -35,6 +35,9 @@ class Publication(RequestBody):
     rights: Annotated[str, AfterValidator(_printable)] = Field("", max_length=MOST_CHARACTERS, description=_RIGHTS)
 
 
+NOTHING = Publication()
+
+
 class Published(BaseModel):
     """What is published of an asset's credentials."""
 
@@ -54,8 +57,8 @@ def get_publication(asset_id: str, core: Core, caller: Reader) -> Published:
     operation_id="putPublication",
     responses={**OF_OWN, **responses("malformed-request", "too-large")},
 )
-def put_publication(asset_id: str, body: Publication, core: Core, caller: Admin) -> Published:
-    """Set what is published of an asset's credentials. The log keeps who set what."""
+def put_publication(asset_id: str, core: Core, caller: Admin, body: Publication = NOTHING) -> Published:
+    """Set what is published of an asset's credentials: without a body, nothing. The log keeps who set what."""
     values: dict[str, Any] = body.model_dump()
     with core.db.exclusive() as connection:
         mine = (assets.c.id == asset_id) & (assets.c.tenant == caller.tenant)
