@@ -156,6 +156,11 @@ class Denoising:
         *_, around = self.neighborhoods.adjoint(through)
         return np.asarray(cotangent + through - around, dtype=np.float32)
 
+    @property
+    def kept(self) -> float:
+        """What is left of a small displacement of one color by itself, in the median."""
+        return 1.0 + float(np.median(self._sum(self.misfit.slope)))
+
     def _sum(self, part: Callable[[float], Float32]) -> Float32:
         parts = (np.float32(times) * part(limit) for times, limit in zip(self.times, _CONFIG.limits, strict=True))
         return np.asarray(sum(parts), dtype=np.float32)
@@ -213,9 +218,10 @@ def find_color_change(
         return smoothing
     rest = misfit()
     times, denoised = _fit([shown(rest.limited(limit)) for limit in _CONFIG.limits], base, seen)
-    if max(smoothed, denoised) < _CONFIG.explained:
-        return None
-    return smoothing if smoothed > denoised else Denoising(rest, times, neighborhoods)
+    denoising = Denoising(rest, times, neighborhoods)
+    if denoised > max(smoothed, _CONFIG.explained) and denoising.kept > _CONFIG.least_kept:
+        return denoising
+    return smoothing if smoothed > _CONFIG.explained else None
 
 
 def _fit(columns: Sequence[Float32], base: Float32, seen: Float32) -> tuple[Float64, float]:

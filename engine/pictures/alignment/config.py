@@ -101,6 +101,9 @@ class ColorChangeConfig:
     looks: float = 0.03
     surely: float = 0.6  # share that averages explain from which nothing else is tried
     explained: float = 0.3  # and that the better of both must
+    # Of a displacement of one color, below which a denoising is none that a curve describes: with all of a misfit gone,
+    # what is left lies in other cells, and reading by the curve lost three quarters of z
+    least_kept: float = 0.5
     limits: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0)  # of a misfit, in the mark's size
     opaque: float = 0.9  # opacity of the reference from which a pixel shows the model
     clipped: float = 0.985  # brighter pixels say nothing
