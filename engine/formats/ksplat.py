@@ -131,9 +131,10 @@ def _decode(
     with np.errstate(divide="ignore", invalid="ignore"):  # a scale of zero is mended, a negative one is a fault
         log_scales = np.log(records["scales"].astype(np.float32))
     quats = records["quats"].astype(np.float32)
-    norms = np.linalg.norm(quats, axis=1, keepdims=True)
     if level:  # half floats never give unit length: no fault of the file
-        quats /= np.where(norms > 0, norms, 1)
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged ones are refused further on
+            norms = np.linalg.norm(quats, axis=1, keepdims=True)
+            quats /= np.where(norms > 0, norms, 1)
     sh = np.zeros((len(records), 1 + rest, 3), dtype=np.float32)
     sh[:, 0] = (records["rgba"][:, :3] / 255 - 0.5) / SH_C0
     values = records["rest"].astype(np.float32)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.flows.verify import suspect_evidence
+from engine.flows.verify import reference_views, suspect_evidence
+from engine.flows.verify.reference_views import ReferenceViews
 from engine.flows.verify.search import verify_images
-from engine.flows.verify.suspect_evidence import ReferenceViews
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
@@ -66,7 +66,7 @@ def test_it_reads_more_than_a_curve_of_the_blended_picture(
 ) -> None:
     picture = jpeg(through(scene, camera, BY_NAME[name]))
     with_curve = z(scene, camera, picture, monkeypatch)
-    monkeypatch.setattr(suspect_evidence, "find_viewer_tone", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_viewer_tone", lambda *_: None)
     assert with_curve > 1.05 * z(scene, camera, picture, monkeypatch)
 
 

@@ -147,8 +147,6 @@ NOISE = bytes(range(1, 98))
         (b"RAD0" + NOISE, "x", "Spark.*splat-transform FILE"),
         (NOISE, "scene.RAD", "Spark"),
         (NOISE, "room.psht", "Postshot.*export the scene as .ply"),
-        (b"PXR-USDC" + NOISE, "x", "OpenUSD"),
-        (zip_of("scene.usdc"), "scene.usdz", "OpenUSD"),
         (b'{"asset": {"version": "1.1"}, "geometricError": 9, "root": {}}', "tileset.json", "3D Tiles"),
         (b'{"version": 2, "means": {"codebook": []}}', "meta.json", "index of a SOG scene"),
         (b'{"camera_angle_x": 0.7, "frames": []}', "transforms.json", "cameras, no Gaussians"),
@@ -168,6 +166,12 @@ NOISE = bytes(range(1, 98))
 )
 def test_what_is_no_model_is_named_with_what_to_give(data: bytes, name: str, what: str) -> None:
     with pytest.raises(UnsupportedFormatError, match=what):
+        read_model(data, name=name)
+
+
+@pytest.mark.parametrize(("data", "name"), [(b"PXR-USDC" + NOISE, "x"), (zip_of("scene.usdc"), "scene.usdz")])
+def test_damaged_scenes_are_named_whether_their_library_is_there_or_not(data: bytes, name: str) -> None:
+    with pytest.raises(FormatError, match="OpenUSD"):
         read_model(data, name=name)
 
 

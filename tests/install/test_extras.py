@@ -21,6 +21,7 @@ from tests.install.distributions import closure, import_names
 OF_AN_EXTRA = {
     "engine.catalogue": "service",
     "engine.credentials": "c2pa",
+    "engine.formats.usd": "usd",
     "engine.lab": "lab",
     "service": "service",
     "service.client": "client",

@@ -2,7 +2,6 @@
 with colors at its corners."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import COLORS, dc_of_colors
@@ -40,6 +39,8 @@ def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair,
     sound = means[np.isfinite(means).all(axis=1)]
     size = 1.0
     if len(sound) > _NEIGHBOR:
+        from scipy.spatial import cKDTree  # slow to load, and few suspects are points
+
         some = sound[:: -(-len(sound) // _SAMPLE)]
         size = float(np.median(cKDTree(sound).query(some, k=_NEIGHBOR + 1)[0][:, -1])) / 2
     logs = np.full((count, 3), np.log(size) if size > 0 else 0.0, np.float32)
