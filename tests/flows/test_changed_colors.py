@@ -55,6 +55,7 @@ def test_pictures_of_a_washed_model_claim(
     assert read.claim.z > 1.5 * known(washed, scene, cameras).claim.z
 
 
+@pytest.mark.long
 def test_pictures_of_a_denoised_model_claim(
     scene: MarkedScene, cameras: list[Camera], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +101,7 @@ def tint_z(seen: Seen, opened: OpenedRecord) -> float:
     return layered_z(evidence, spreading.signs(opened.message), opened.layout.chips).z["tint"]
 
 
+@pytest.mark.long
 def test_a_model_drawn_anew_in_its_place_is_told_and_read(scene: MarkedScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """As purification leaves it: not one Gaussian where it was, the look smoothed."""
     suspect = rattle(smooth(scene.marked, 32), 0.1, np.random.default_rng(0))

@@ -94,6 +94,7 @@ def test_tabs_follow_the_scopes(watched: Any, served: Served, scopes: list[str],
         assert page.get_by_role("button", name="Create a new key").is_hidden()
 
 
+@pytest.mark.long
 def test_buttons_of_parts_that_are_switched_off_are_not_shown(page: Page, served: Served) -> None:
     _, claim = stock(served)
     me = ask(served, "/v1/me")
