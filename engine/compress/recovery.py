@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from engine.compress.config import RECOVERY
+from engine.compress.config import CONFIG
 from engine.compress.impact import ranks
 from engine.compress.pruning import PruneConfig, Pruned, prune
 from engine.model import Camera, Float64, GaussianModel
@@ -20,6 +20,8 @@ from engine.raster import Gradients, backward, draw, prepare_view, render, sh_co
 
 __all__ = ["Recovery", "Target", "fit", "prune_and_fit", "recoverable"]
 
+_CONFIG = CONFIG.recovery
+
 Measure = Callable[[GaussianModel], float]
 """Worst key view's PSNR of a candidate against the original, dB."""
 
@@ -27,10 +29,10 @@ Tell = Callable[[float, float], None]
 """Called with the share of the work done, 0 to 1, and the PSNR by now, dB."""
 
 _RATES = {
-    "means": RECOVERY.mean_rate,
-    "quats": RECOVERY.quat_rate,
-    "log_scales": RECOVERY.scale_rate,
-    "opacity_logits": RECOVERY.opacity_rate,
+    "means": _CONFIG.mean_rate,
+    "quats": _CONFIG.quat_rate,
+    "log_scales": _CONFIG.scale_rate,
+    "opacity_logits": _CONFIG.opacity_rate,
 }
 
 
@@ -41,7 +43,7 @@ def recoverable(model: GaussianModel) -> bool:
 
 def cost(gaussians: int, pixels: int) -> float:
     """Work of one step, in nanoseconds of one core."""
-    return RECOVERY.per_gaussian * gaussians + RECOVERY.per_pixel * pixels
+    return _CONFIG.per_gaussian * gaussians + _CONFIG.per_pixel * pixels
 
 
 def sum_squares(model: GaussianModel, cameras: Sequence[Camera], weights: Float64 | None = None) -> Float64:
@@ -69,13 +71,13 @@ class Target:
 
 def work_for(gaussians: int) -> float:
     """Work that a model of so many Gaussians is worth."""
-    return min(RECOVERY.least_work + RECOVERY.work_each * gaussians, RECOVERY.most_work)
+    return min(_CONFIG.least_work + _CONFIG.work_each * gaussians, _CONFIG.most_work)
 
 
 def views_for(gaussians: int, side: int) -> int:
     """To how many views of so many pixels a side a model is fitted: fewer where it is slow to draw."""
-    affordable = RECOVERY.looking * work_for(gaussians) / cost(gaussians, side**2)
-    return int(np.clip(affordable, RECOVERY.least_views, RECOVERY.views))
+    affordable = _CONFIG.looking * work_for(gaussians) / cost(gaussians, side**2)
+    return int(np.clip(affordable, _CONFIG.least_views, _CONFIG.views))
 
 
 class Recovery:
@@ -90,12 +92,12 @@ class Recovery:
         self._moving = {name: getattr(model, name).copy() for name in _RATES} | {"means": np.zeros_like(model.means)}
         self._moments = {name: AdamMoments.zeros(array) for name, array in self._moving.items()}
         self._gradients = Gradients.empty(model, with_sh=False)
-        self._rng = np.random.default_rng(RECOVERY.seed)
+        self._rng = np.random.default_rng(_CONFIG.seed)
         self._queue = list(self._rng.permutation(len(target.cameras)))
         self._errors = np.ones(len(target.cameras))  # squared, of each view when it was last seen
         self._steps = 0
         # Factor on all rates: steps as large as the error that is aimed at
-        self._pace = min(1.0, 10 ** ((RECOVERY.full_pace_db - goal_db) / 20.0))
+        self._pace = min(1.0, 10 ** ((_CONFIG.full_pace_db - goal_db) / 20.0))
         self.left = target.work if left is None else left  # of it
 
     @property
@@ -107,9 +109,9 @@ class Recovery:
     def model(self) -> GaussianModel:
         """As fitted by now, within its bounds."""
         base, moving = self._base, self._moving
-        reach = np.maximum(np.abs(base.opacity_logits), np.float32(RECOVERY.opacity_logit))
+        reach = np.maximum(np.abs(base.opacity_logits), np.float32(_CONFIG.opacity_logit))
         np.clip(moving["opacity_logits"], -reach, reach, out=moving["opacity_logits"])
-        stretch = np.float32(RECOVERY.stretch)
+        stretch = np.float32(_CONFIG.stretch)
         np.clip(moving["log_scales"], base.log_scales - stretch, base.log_scales + stretch, out=moving["log_scales"])
         moving["quats"] /= np.maximum(np.linalg.norm(moving["quats"], axis=1, keepdims=True), np.float32(1e-12))
         means = base.means + self._width * moving["means"]
@@ -119,12 +121,12 @@ class Recovery:
     def goes_on(self) -> bool:
         """Whether there is work left for another round."""
         pixels = max(camera.width * camera.height for camera in self._target.cameras)
-        return self.left >= sum(RECOVERY.round) * cost(len(self._base), pixels)
+        return self.left >= sum(_CONFIG.round) * cost(len(self._base), pixels)
 
     def round(self) -> GaussianModel:
         """Steps at full rates, then at smaller ones, without which some decibels stay away; gives the model after
         them."""
-        for steps, pace in zip(RECOVERY.round, RECOVERY.paces, strict=True):
+        for steps, pace in zip(_CONFIG.round, _CONFIG.paces, strict=True):
             for _ in range(steps):
                 self._step(pace * self._pace)
         return self.model
@@ -132,7 +134,7 @@ class Recovery:
     def _step(self, pace: float) -> None:
         views = len(self._target.cameras)
         if not self._queue:
-            share = RECOVERY.hard_share
+            share = _CONFIG.hard_share
             odds = (1.0 - share) / views + share * self._errors / self._errors.sum()
             self._queue = list(self._rng.choice(views, views, p=odds / odds.sum()))
         k = int(self._queue.pop())
@@ -144,7 +146,7 @@ class Recovery:
         gap = np.clip(rendering.image, 0.0, 1.0)
         gap -= self._target.images[k]
         self._errors[k] = float(np.mean(np.square(gap), dtype=np.float64)) + 1e-12
-        gap /= np.float32(RECOVERY.knee)
+        gap /= np.float32(_CONFIG.knee)
         # Derivative of the absolute error, rounded off near zero (Huber); its scale is nothing to Adam
         gradients = backward(rendering, np.clip(gap, -1.0, 1.0, out=gap), out=self._gradients)
         np.multiply(gradients.means, self._width, out=gradients.means)
@@ -170,7 +172,7 @@ class Recovery:
 def fit(recovery: Recovery, measure: Measure, tell: Tell) -> tuple[GaussianModel, float]:
     """Fit until the worst view gains no more, or the work is done; gives the best by then and its PSNR."""
     best, best_db, gain_db = recovery.model, measure(recovery.model), np.inf
-    while recovery.goes_on and gain_db >= RECOVERY.least_gain_db:
+    while recovery.goes_on and gain_db >= _CONFIG.least_gain_db:
         model = recovery.round()
         psnr = measure(model)
         gain_db = psnr - best_db
@@ -198,7 +200,7 @@ def prune_and_fit(
     if config.budget_db is None or target is None:
         return prune(model, impact, measure, radius, config)
     left, fewest = target.work, min(fewest, len(model) // 4)
-    for head in RECOVERY.heads_db:
+    for head in _CONFIG.heads_db:
         start = prune(model, impact, measure, radius, replace(config, budget_db=config.budget_db - head))
         if len(start.model) == len(model):  # too few to prune
             return start
@@ -218,7 +220,7 @@ def _by_turns(
 ) -> Pruned | None:
     """The fewest Gaussians by which a fit reaches the budget; None where none does."""
     best: Pruned | None = None
-    at, before, slope = recovery, -np.inf, RECOVERY.slope_db  # `recovery` is the last fit that reached the budget
+    at, before, slope = recovery, -np.inf, _CONFIG.slope_db  # `recovery` is the last fit that reached the budget
     while at.goes_on:
         fitted = at.round()
         psnr = measure(fitted)
@@ -228,15 +230,15 @@ def _by_turns(
             slope = (best.psnr_db - psnr) / np.log(len(recovery.kept) / len(at.kept))
         if psnr >= budget_db:
             best, recovery = Pruned(fitted, start.kept[at.kept], psnr, start.merged), at
-        stays = best is None or (budget_db - RECOVERY.near_db <= psnr < budget_db and gained == np.inf)
+        stays = best is None or (budget_db - _CONFIG.near_db <= psnr < budget_db and gained == np.inf)
         if best is not None and not stays:
-            share = np.exp((budget_db - best.psnr_db) / np.clip(slope, *RECOVERY.slopes_db))
-            share = max(share, RECOVERY.least_share, fewest / len(recovery.kept))
-            if share <= RECOVERY.most_share:
+            share = np.exp((budget_db - best.psnr_db) / np.clip(slope, *_CONFIG.slopes_db))
+            share = max(share, _CONFIG.least_share, fewest / len(recovery.kept))
+            if share <= _CONFIG.most_share:
                 recovery.left = at.left
                 at, before = recovery.thinned(share), -np.inf
                 continue
             stays = at is recovery and len(at.kept) > fewest  # what is near the budget may gain, and lose more then
-        if not stays or gained < RECOVERY.least_gain_db:
+        if not stays or gained < _CONFIG.least_gain_db:
             break
     return best

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.compress import recovery
-from engine.compress.config import RECOVERY
+from engine.compress.config import CONFIG
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.profiles import PROFILES, EmbedConfig, profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
@@ -97,7 +97,7 @@ def test_every_stage_has_run(model: GaussianModel, marked: tuple[Embedding, Open
 def test_what_is_pruned_is_fitted_before_it_is_marked(
     model: GaussianModel, marked: tuple[Embedding, OpenedRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recovery, "RECOVERY", replace(RECOVERY, least_work=1e9, work_each=0.0))
+    monkeypatch.setattr(recovery, "_CONFIG", replace(CONFIG.recovery, least_work=1e9, work_each=0.0))
     made, _ = mark(model, small(prune=profile("paper").prune))
     before = marked[0].report
     assert made.report["psnr_total_worst_view"] > before["psnr_total_worst_view"] + 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.compress import recovery
-from engine.compress.config import RECOVERY
+from engine.compress.config import CONFIG
 from engine.compress.pruning import PruneConfig, prune
 from engine.compress.recovery import Measure, Recovery, Target, fit, prune_and_fit, recoverable, sum_squares, views_for
 from engine.flows.embed.delivery import slim_down
@@ -36,7 +36,9 @@ def _small() -> object:
     """As little work as shows it."""
     patch = pytest.MonkeyPatch()
     patch.setattr(
-        recovery, "RECOVERY", replace(RECOVERY, least_work=3e8, work_each=0.0, round=(30, 12, 8), least_gain_db=0.05)
+        recovery,
+        "_CONFIG",
+        replace(CONFIG.recovery, least_work=3e8, work_each=0.0, round=(30, 12, 8), least_gain_db=0.05),
     )
     yield
     patch.undo()
@@ -129,12 +131,12 @@ def test_odd_gaussians_do_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
     log_scales[1] = 3.0
     log_scales[2:40, 0] -= 12.0
     odd = whole.with_(means=means, log_scales=log_scales, quats=quats)
-    monkeypatch.setattr(recovery, "RECOVERY", replace(recovery.RECOVERY, stretch=0.08))
+    monkeypatch.setattr(recovery, "_CONFIG", replace(CONFIG.recovery, stretch=0.08))
     fitted = Recovery(odd.take(np.arange(0, len(odd), 2)), target_of(odd)).round()
     start = odd.log_scales[::2]
     assert all(np.isfinite(getattr(fitted, name)).all() for name in ("means", "quats", "log_scales", "opacity_logits"))
     assert 0.07 < np.abs(fitted.log_scales - start).max() <= 0.08 + 1e-5
-    assert np.abs(fitted.opacity_logits).max() <= RECOVERY.opacity_logit
+    assert np.abs(fitted.opacity_logits).max() <= CONFIG.recovery.opacity_logit
     np.testing.assert_allclose(np.linalg.norm(fitted.quats, axis=1), 1.0, atol=1e-5)
     assert unseen(odd)(fitted) > unseen(odd)(odd.take(np.arange(0, len(odd), 2))) + 1.0
 
@@ -152,7 +154,7 @@ def test_what_has_no_gradients_is_only_pruned() -> None:
 
 
 def test_views_are_fewer_where_they_cost_more() -> None:
-    assert (views_for(1_000, SIDE), views_for(10_000_000, 800)) == (RECOVERY.views, RECOVERY.least_views)
+    assert (views_for(1_000, SIDE), views_for(10_000_000, 800)) == (CONFIG.recovery.views, CONFIG.recovery.least_views)
 
 
 def test_stopped_halfway_nothing_is_written(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.compress.config import RECOVERY
+from engine.compress.config import CONFIG as COMPRESS
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
 from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature
 from engine.compress.pruning import Pruned as Fitted
@@ -26,6 +26,7 @@ from engine.numerics.similarity import quaternion_to_rotation
 from engine.raster import render
 
 _CONFIG = CONFIG.plan
+_RECOVERY = COMPRESS.recovery
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +102,11 @@ def _sights(original: Groundwork, config: EmbedConfig) -> tuple[Target | None, C
 
     Some views that were neither fitted to nor are the key's are held to the budget, too.
     """
-    model, side, held = original.model, min(config.view_size, RECOVERY.side), RECOVERY.held_out
+    model, side, held = original.model, min(config.view_size, _RECOVERY.side), _RECOVERY.held_out
     fitted: list[Camera] = []
     if config.prune.recover and recoverable(model):
-        fitted = original.unseen(views_for(len(model), side) + held, side, np.random.default_rng(RECOVERY.seed))
-    if len(fitted) < RECOVERY.least_views:  # of the owner's cameras few are left
+        fitted = original.unseen(views_for(len(model), side) + held, side, np.random.default_rng(_RECOVERY.seed))
+    if len(fitted) < _RECOVERY.least_views:  # of the owner's cameras few are left
         return None, worst_psnr_against(original.views.images, original.cameras)
     others = [fitted.pop(k) for k in np.linspace(len(fitted) - 1, 0, held).astype(int)]
     images = [*original.views.images, *(render(model, camera) for camera in others)]
