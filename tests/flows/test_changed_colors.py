@@ -8,6 +8,7 @@ import pytest
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify import reference_views
+from engine.flows.verify.reference_views import ReferenceViews
 from engine.flows.verify.search import Verification, verify_images
 from engine.flows.verify.suspect_evidence import Seen, read_renders
 from engine.flows.views.camera_rig import make_rig
@@ -17,7 +18,8 @@ from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.evaluate.null.wrong_keys import wrong_key_z
 from engine.lab.sim.adversaries.laundering import rattle, smooth
 from engine.model import Camera, Float32, GaussianModel
-from engine.raster import render
+from engine.pictures.alignment.viewer_tone import TONES
+from engine.raster import draw, render, sh_colors
 from engine.registration.registration_search import Registration
 from engine.watermark.layers import layered_z
 from engine.watermark.statistics import z_threshold
@@ -53,6 +55,18 @@ def test_pictures_of_a_washed_model_claim(
     assert z.max() < z_threshold(1e-9, 2_000)
     monkeypatch.setattr(reference_views, "find_color_change", lambda *_: None)
     assert read.claim.z > 1.5 * known(washed, scene, cameras).claim.z
+
+
+def test_washing_is_not_looked_for_through_a_viewers_tone_curve(scene: MarkedScene, cameras: list[Camera]) -> None:
+    """The renders by which it is recognized have no curve."""
+    reference, camera = ReferenceViews(scene.opened), cameras[0]
+    washed = smooth(scene.marked, 32)
+    picture, everywhere = to_8_bit(render(washed, camera)), np.ones((480, 480), dtype=bool)
+    assert reference.changed_as(reference.at(camera), picture, everywhere) is not None
+    toned = reference.at(camera, tone=TONES[0])
+    seen = TONES[0](sh_colors(washed.sh, washed.means, camera.position))
+    picture = to_8_bit(draw(washed, camera, colors=seen).image)
+    assert reference.changed_as(toned, picture, everywhere) is None
 
 
 @pytest.mark.long

@@ -244,12 +244,9 @@ def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation
 
 KEY_VIEWS = "further renders of the pose key"
 """What the time budget did not allow."""
-DRAWN_ANEW = "it shares no Gaussian with the asset, so it was trained or drawn anew"
+DRAWN_ANEW = "none of its Gaussians was matched with one of the asset's: it may have been trained or drawn anew"
 SHOWN_IN_PLACE = f"the suspect model shows the asset where it lies; {DRAWN_ANEW}"
 LEFT_OUT = "left out: picture {} shows the asset, but not the mark that the other pictures agree on"
-
-
-WASHED = "{} whose colors were {}: it was compared with the original changed alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,12 +388,12 @@ def _changed_as_read(reference: ReferenceViews, read: ReadPicture | None) -> Ref
 
 def _how_changed(reference: ReferenceViews) -> Iterator[str]:
     if reference.change is not None:
-        yield _washed("the suspect is a model", reference.change)
+        yield _washed("the suspect looks like", reference.change)
 
 
 def _washed(what: str, change: ColorChange) -> str:
     how = "averaged over neighbors" if isinstance(change, ColorSmoothing) else "denoised"
-    return WASHED.format(what, how)
+    return f"{what} a model whose colors were {how}: it was compared with the original changed alike"
 
 
 def _seen_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock, budget: TimeBudget) -> Seen:
@@ -503,7 +500,7 @@ def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
         how = f"standard deviations {long:.1f} and {short:.1f} pixels"
         yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
     if read.change is not None:
-        yield _washed(f"picture {number + 1} shows a model", read.change)
+        yield _washed(f"picture {number + 1} looks like one of", read.change)
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:
