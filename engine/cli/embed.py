@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from engine.usecases.mark import MarkOutput, MarkReport
 
 COPY = "{copy}"
-TOLD_DB = 0.05
-"""Of what the format rounds away: less does not show in the numbers."""
 """In the name of a file: the recipient's name."""
+TOLD_DB = 0.05
+"""Least difference that rounding by the format makes to a PSNR that is printed."""
 
 
 def embed(

@@ -1,7 +1,7 @@
 """Which manifests belong to something like an uploaded model or picture: stripped credentials are found again.
 
-No owner key, record or mark is looked at. The index compares with sketches of published models, which whoever has such
-a model could make, too; and only assets whose owner published that much take part.
+No owner key, record or mark is used. The index compares with sketches of published models, which can be computed from
+such a model alone; only assets whose owner set `by_content` are searched.
 """
 
 import asyncio

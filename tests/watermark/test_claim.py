@@ -156,7 +156,7 @@ def test_too_little_evidence() -> None:
 def pictures(shown: int, amplitude: float) -> Claim:
     """Of so many pictures of one copy, equally clear, at the rate of a record that nobody attests.
 
-    Their noise says nothing of the mark, one way or the other.
+    Their noise is orthogonal to the mark.
     """
     noise = np.random.default_rng(1).normal(size=CHIPS)
     sign = (CHIP * MESSAGE[BIT_OF]).astype(np.float64)

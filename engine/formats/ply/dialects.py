@@ -121,8 +121,12 @@ def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:
 def georeferenced(
     records: npt.NDArray[np.void], means: Float32, log_scales: Float32
 ) -> tuple[tuple[float, float, float], list[Repair]]:
-    """The origin to which centers that are doubles are moved, in place, where float32 would round some by more than
-    `VISIBLE_ROUNDING` of a size: their median, in whole units. What is rounded even so is told."""
+    """Origin (x, y, z) of the centers, and repairs.
+
+    Where float32 would round a center in double precision by more than `VISIBLE_ROUNDING` of its Gaussian's size, the
+    origin is the median center in whole units, and `means` becomes relative to it, in place. A repair counts the
+    centers that are still rounded so much.
+    """
     origin = (0.0, 0.0, 0.0)
     if all(records.dtype[axis].itemsize < 8 for axis in "xyz"):
         return origin, _coarse(means, log_scales)

@@ -1,4 +1,4 @@
-"""Where a picture shows something on a plain ground: the rest says nothing, and makes everything else small.
+"""The part of a picture that shows an object on a plain ground.
 
 Outlines are sought in a picture of 96 pixels, and details compared in one of 320: an asset that takes up a third of a
 portrait screen is too small for both.
