@@ -18,7 +18,6 @@ from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.gaussians import flatten
 from engine.raster import RasterSettings, render
-from engine.watermark.claim import SCATTERED
 from engine.watermark.statistics import z_threshold
 
 SIDE = 512
@@ -49,21 +48,20 @@ def test_both_layers_are_read_from_one_picture(scene: MarkedScene, cameras: list
     assert 0.4 * claim.z < claim.expected_z < 1.5 * claim.z
 
 
-def test_what_washing_left_is_read_and_at_last_by_its_scatter(
+def test_what_washing_left_is_read_against_a_reference_washed_alike(
     whole_scene: MarkedScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, cameras = whole_scene, seen_from(whole_scene)
     layout = scene.opened.layout
     size = float(np.sqrt(np.square(layout.displace(layout.amplitudes)).mean()))
-    pictures = shots(wash(scene.marked, 9.0, size), cameras)
+    pictures = shots(wash(scene.marked, 7.5, size), cameras)
     known = verify_images(pictures, scene.opened, cameras=cameras).claim
     assert known.z > z_threshold(1e-9, known.tries)
     monkeypatch.setattr(reference_views, "find_color_change", lambda *_: None)  # as of a washing of another kind
     claim = verify_images(pictures, scene.opened, cameras=cameras).claim
     assert claim.layers is not None
-    assert claim.z == pytest.approx(claim.layers["tint" + SCATTERED])
-    assert claim.z > 1.1 * claim.layers["both"]
-    assert known.z > 1.2 * claim.z
+    assert claim.z == pytest.approx(max(claim.layers.values()))
+    assert known.z > 1.4 * claim.z
 
 
 def test_an_unmarked_picture_says_nothing_in_any_way(scene: MarkedScene, cameras: list[Camera]) -> None:

@@ -38,7 +38,7 @@ def test_emphasis_scales_the_mark(small_plant: GaussianModel) -> None:
     plain = np.abs(moved(small_plant, Variant())).mean(axis=1)
     change = np.abs(moved(small_plant, Variant(emphasis=np.where(left, 0.25, 1.0)))).mean(axis=1)
     ratio = (change[left].mean() / change[~left].mean()) / (plain[left].mean() / plain[~left].mean())
-    assert ratio == pytest.approx(0.25, abs=0.1)
+    assert 0.2 < ratio < 0.45  # cells across the border take of both; which they are, the processor's rounding decides
 
 
 def test_what_the_views_see_decides_the_strength(small_plant: GaussianModel) -> None:
