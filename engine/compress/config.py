@@ -50,7 +50,7 @@ class RecoveryConfig:
 
 @dataclass(frozen=True)
 class CompressConfig:
-    """Uncertainty (`impact`), near-duplicates (`duplicate_merging`), `cells` and `levels_of_detail`."""
+    """Uncertainty (`impact`), near-duplicates (`pruning`), `cells` and `levels_of_detail`."""
 
     prior: float = 1e-3  # precision of the Laplace approximation, squared blending weights: unseen ones stay finite
     color_gap: float = 0.15  # largest DC difference of a pair that may be merged, SH units (about 0.04 in color),

@@ -98,8 +98,7 @@ def _told(data: bytes, file: str) -> Kind:
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:
-    from engine.formats.sog.bundle import read_sog_folder
-    from engine.formats.sog.streamed import read_streamed_folder
+    from engine.formats.sog.bundle import read_sog_folder, read_streamed_folder
 
     if (path / _LOD_META).is_file():
         model, repairs, names = read_streamed_folder(path)

@@ -9,12 +9,11 @@ import numpy as np
 from engine.errors import InputError
 from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, GaussianModel, Int32, Int64
-from engine.raster.binning import list_pairs, list_starts, place_pairs
+from engine.raster.binning import BUCKETS, list_pairs, list_starts, place_pairs, sort_by_depth, workers_for
 from engine.raster.disc_projection import project_discs
 from engine.raster.lane_memory import aligned
 from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
-from engine.raster.sorting import BUCKETS, sort_by_depth, workers_for
 from engine.raster.workspace import Workspace, borrow_workspace
 
 __all__ = ["Geometry", "build_geometry", "count_overlaps"]

@@ -9,8 +9,7 @@ has the same bits on any number of threads.
 import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
-from engine.raster.lane_algebra import add, dot, row_times, scale_columns, times
-from engine.raster.lane_math import exp2
+from engine.raster.lane_math import add, dot, exp2, row_times, scale_columns, times
 from engine.raster.lane_memory import load, prefetch, store
 from engine.raster.lane_order import zip3, zip4
 from engine.raster.lane_sums import sum_rows, transpose

@@ -19,8 +19,7 @@ import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Camera, Float32
-from engine.raster.lane_algebra import cross, dot, row_times, scale_columns
-from engine.raster.lane_math import exp2, log2
+from engine.raster.lane_math import cross, dot, exp2, log2, row_times, scale_columns
 from engine.raster.lane_memory import load, lowest_bit, store
 from engine.raster.lane_order import unzip3, unzip4
 from engine.raster.lanes import bits_of, maximum, minimum, root, round_down, select, spread

@@ -25,7 +25,7 @@ class CellsConfig:
 
 @dataclass(frozen=True)
 class PlanningConfig:
-    """Amplitudes and capacity (`carriers`, `layout`, `masses`, `planning`)."""
+    """Amplitudes and capacity (`layout`, `masses`, `planning`)."""
 
     # Least amplitude of a carrier against a pure luma carrier. Chroma is subsampled in every screenshot, but on the
     # model itself all three carriers read equally well and three carriers hold three times the chips
@@ -124,7 +124,7 @@ class PowerConfig:
 
 @dataclass(frozen=True)
 class RegionsConfig:
-    """Regions of the asset (`region_tree`, `regions`, `region_search`)."""
+    """Regions of the asset (`regions`, `region_search`)."""
 
     codes: int = 12  # code vectors of the smallest region, 36 chips of the tint: 4,096 of them give 256 regions of 16
     # Chips, counted by their shares of the evidence, below which nothing is said of a region: what is shown of few

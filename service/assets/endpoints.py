@@ -1,4 +1,7 @@
-"""/v1/assets: what was marked, and its files."""
+"""/v1/assets: what was marked, and its files.
+
+A record goes out with this service's signed statement of its registration, so that the date counts elsewhere, too.
+"""
 
 import asyncio
 from typing import Annotated, Any, Literal
@@ -6,9 +9,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.assets.attested import attested_record
+from engine.records.attestation import LOG, Attestation, attach, header_digest
+from engine.records.signatures import REGISTRATION
 from service.assets.content_credentials import delivered, forget_manifests
-from service.assets.conversions import converted, drop
+from service.assets.conversions import converted, drop, keep, kept
+from service.core import Service
 from service.db import holding, own
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Follower, Limit, Listed, OriginalsReader, Reader, Words, visible
@@ -17,7 +22,10 @@ from service.http.file_responses import MODEL_TYPE, Want, file_responses, send_b
 from service.http.forms import FROM_JSON
 from service.http.results import Time
 from service.problems import Problem
-from service.trust.commitments import forget
+from service.trust import audit
+from service.trust.canonical import canonical
+from service.trust.commitments import forget, registration_of
+from service.trust.signing import sign
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
@@ -128,3 +136,29 @@ def delete_asset(asset_id: str, core: Core, caller: Admin) -> None:
     forget(core.db, assets, caller.tenant, asset_id)
     forget_manifests(core, asset_id)
     drop(core, row.model_sha256, row.original_sha256, row.record_sha256)
+
+
+_FORMAT = "attested record"
+
+
+def attested_record(service: Service, row: Any) -> str:
+    """Digest of an asset's record with the log's proof attached; made once."""
+    if (found := kept(service, row.record_sha256, _FORMAT)) is not None:
+        return found
+    data = service.blobs.read(row.record_sha256)
+    with service.db.read() as connection:
+        entry = registration_of(connection, row.id)
+        size = entry.index + 1  # the log as it stood then: what it proves does not depend on the time of the request
+        said = {
+            "header_sha256": header_digest(data),
+            "entry": entry.to_json(),
+            "size": size,
+            "root": audit.root(connection, size),
+            "proof": audit.inclusion_proof(connection, entry.index, size),
+        }
+        statement = sign(connection, service.master, canonical(said), REGISTRATION)
+    with service.blobs.new_file() as file:
+        file.write_bytes(attach(data, Attestation(LOG, statement)))
+        digest = service.blobs.put(file)
+    keep(service, row.record_sha256, _FORMAT, digest)
+    return digest

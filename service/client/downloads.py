@@ -10,8 +10,7 @@ from typing import BinaryIO, Literal
 from urllib.parse import quote
 
 from service.client.errors import ServiceError
-from service.client.flows import silent
-from service.client.sources import digest_of
+from service.client.flows import digest_of, silent
 from service.client.wire import BREAKS, FIRST_PAUSE, Fetch, Flow, Params, Pause, Progress, Reply, Request, Work
 
 Target = str | os.PathLike[str]

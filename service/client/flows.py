@@ -1,10 +1,13 @@
 """What the client can do, each a flow of `wire`: the same for both drivers."""
 
+import hashlib
 import os
 import secrets
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar, Unpack
 from urllib.parse import quote
 
@@ -26,8 +29,48 @@ from service.client.answers import (
     verified,
 )
 from service.client.errors import ServiceError
-from service.client.sources import Measured, Source, measure, piece
 from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Params, Pause, Progress, Reply, Request, Work, ask
+
+PIECE = 8 << 20
+"""Bytes of one request: what a broken connection costs at most."""
+
+Source = str | os.PathLike[str] | bytes
+"""A file's path, or its content."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is announced of a source before it is sent."""
+
+    name: str
+    size: int
+    sha256: str
+
+
+def measure(source: Source) -> Measured:
+    """Name, size and digest; OSError where the file cannot be read."""
+    if isinstance(source, bytes):
+        return Measured("", len(source), hashlib.sha256(source).hexdigest())
+    path = Path(source)
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return Measured(path.name[:200], file.tell(), digest)
+
+
+def piece(source: Source, start: int) -> bytes:
+    """The bytes from `start` on, at most PIECE."""
+    if isinstance(source, bytes):
+        return source[start : start + PIECE]
+    with Path(source).open("rb") as file:
+        file.seek(start)
+        return file.read(PIECE)
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
 
 A = TypeVar("A")
 State = Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]

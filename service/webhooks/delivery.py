@@ -2,6 +2,9 @@
 
 A pending message is a row of `deliveries`. The process that takes one moves its time on by a lease: should it die,
 another takes the message then. Of each webhook a process takes one at a time: a slow receiver delays its own alone.
+
+The address is one that a tenant chose: never in our own network (`service.open_network`), no redirects, no proxy, not
+for long, and of the answer the status alone.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any, NoReturn
 
+import httpx
 import sqlalchemy as sa
 
 from service.client.webhooks import HEADER, signature
@@ -26,8 +30,8 @@ from service.db.schema import ENDED, FOUND, deliveries, jobs, notices, webhooks
 from service.http.job_responses import view
 from service.http.results import notice_of
 from service.jobs.durable_jobs import job_of
+from service.open_network import NOWHERE, resolve, there
 from service.trust.webhook_secrets import secret_of
-from service.webhooks.sending import DELIVERED, send
 
 POLL_SECONDS = 1.0
 LEASE_SECONDS = 60.0
@@ -138,3 +142,35 @@ def _this(row: Any) -> sa.ColumnElement[bool]:
 
 def _after(seconds: float) -> str:
     return ago(-seconds / 3600)
+
+
+SECONDS = 10.0
+"""For all of it: resolving, connecting, sending, and the answer's headers."""
+
+DELIVERED = "delivered"
+
+
+async def send(url: str, body: bytes, headers: dict[str, str], *, private: bool = False) -> tuple[int | None, str]:
+    """Post a message; status of the answer (None where there is none) and the outcome in words.
+
+    `private`: to any address, and over plain HTTP.
+    """
+    try:
+        async with asyncio.timeout(SECONDS):
+            return await _post(httpx.URL(url), body, headers, private)
+    except (TimeoutError, httpx.TimeoutException):
+        return None, f"no answer within {SECONDS:.0f} s"
+    except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
+        return None, f"no answer: {type(error).__name__}"
+
+
+async def _post(url: httpx.URL, body: bytes, headers: dict[str, str], private: bool) -> tuple[int | None, str]:
+    address = await resolve(url, private=private)
+    if address is None or not (private or url.scheme == "https"):
+        return None, NOWHERE
+    target, of_name, extensions = there(url, address)
+    async with (
+        httpx.AsyncClient(trust_env=False, verify=httpx.create_ssl_context(), timeout=SECONDS) as client,
+        client.stream("POST", target, content=body, headers=headers | of_name, extensions=extensions) as answer,
+    ):
+        return answer.status_code, DELIVERED if answer.is_success else f"answered {answer.status_code}"

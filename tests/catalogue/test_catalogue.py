@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.catalogue import neighbors
+from engine.catalogue import catalogue as catalogues
 from engine.catalogue.catalogue import Catalogue, screen_model, screen_pictures
 from engine.catalogue.config import CONFIG
 from engine.catalogue.entry import Entry
@@ -41,7 +41,7 @@ def entries(plant: GaussianModel) -> dict[str, Entry]:
 def catalogue(entries: dict[str, Entry], tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     """With lists, as where there are many; saved and opened."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(neighbors, "CONFIG", replace(CONFIG, few=1000))
+        patch.setattr(catalogues, "CONFIG", replace(CONFIG, few=1000))
         made = Catalogue.build(list(entries)[1:], entries.__getitem__)
     folder = tmp_path_factory.mktemp("catalogue")
     made.save(folder)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.catalogue import neighbors
+from engine.catalogue import catalogue as catalogues
+from engine.catalogue.catalogue import Neighbors
 from engine.catalogue.config import CONFIG
-from engine.catalogue.neighbors import Neighbors
 from engine.model import Float32
 
 
@@ -50,7 +50,7 @@ def test_a_query_speaks_for_an_asset_once() -> None:
 def test_many_vectors_are_sorted_into_lists_and_found_all_the_same(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(neighbors, "CONFIG", replace(CONFIG, few=1000))
+    monkeypatch.setattr(catalogues, "CONFIG", replace(CONFIG, few=1000))
     vectors = crowd(2, 40, 100)
     near = filled(vectors)
     assert hasattr(near._index, "nprobe")

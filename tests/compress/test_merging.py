@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from engine.compress.duplicate_merging import covariances, merge_duplicates
+from engine.compress.pruning import covariances, merge_duplicates
 from engine.model import GaussianModel
 from engine.numerics.gaussians import flatten
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from engine.compress.cells import split_cells
-from engine.compress.duplicate_merging import merge_duplicates
 from engine.compress.impact import ranks
-from engine.compress.pruning import PruneConfig, adaptive_keep, drop_unseen_bands, prune, prune_at
+from engine.compress.pruning import PruneConfig, adaptive_keep, drop_unseen_bands, merge_duplicates, prune, prune_at
 from engine.errors import InputError
 from engine.model import GaussianModel
 

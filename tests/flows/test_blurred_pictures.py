@@ -15,7 +15,7 @@ from engine.flows.verify.search import Verification, verify_images
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
-from engine.lab.evaluate.null.wrong_keys import wrong_key_z
+from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32, look_at
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks

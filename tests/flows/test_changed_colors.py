@@ -15,10 +15,10 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.removal import wash
 from engine.lab.evaluate.marked_scene import MarkedScene
-from engine.lab.evaluate.null.wrong_keys import wrong_key_z
+from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.sim.adversaries.laundering import rattle, smooth
 from engine.model import Camera, Float32, GaussianModel
-from engine.pictures.alignment.viewer_tone import TONES
+from engine.pictures.alignment.tone_curve import TONES
 from engine.raster import draw, render, sh_colors
 from engine.registration.registration_search import Registration
 from engine.watermark.layers import layered_z

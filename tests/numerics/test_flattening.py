@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.compress.duplicate_merging import covariances
+from engine.compress.pruning import covariances
 from engine.model import DISC_THICKNESS, GaussianModel
 from engine.numerics.gaussians import flatten
 

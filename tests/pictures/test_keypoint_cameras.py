@@ -13,8 +13,7 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.pictures.camera.camera_motion import moved, project
 from engine.pictures.camera.config import CONFIG
-from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of, match_closer, match_near
-from engine.pictures.camera.visible_window import Window
+from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, Window, keypoints_of, match_closer, match_near
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render_depth

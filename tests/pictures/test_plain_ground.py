@@ -8,8 +8,7 @@ import pytest
 from engine.flows.verify.suspect_evidence import far_views
 from engine.flows.views.camera_rig import direction, measure_extent
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.pictures.camera.camera_search import find_camera
-from engine.pictures.camera.plain_ground import find_subject
+from engine.pictures.camera.camera_search import find_camera, find_subject
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render_depth
 from tests.pictures.plant_views import UP, around, jpeg, reprojection

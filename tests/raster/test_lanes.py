@@ -8,8 +8,7 @@ import pytest
 from engine.kernels.deferred import text_of
 from engine.kernels.jit import kernel
 from engine.raster import lane_order
-from engine.raster.lane_algebra import cross, row_times, times
-from engine.raster.lane_math import exp2, log2
+from engine.raster.lane_math import cross, exp2, log2, row_times, times
 from engine.raster.lane_memory import (
     aligned,
     append_set_bits,

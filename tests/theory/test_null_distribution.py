@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.lab.evaluate.null.wrong_keys import wrong_key_z
+from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.watermark.keys import signs
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import claim_z, log10_binomial_tail, z_threshold

@@ -7,8 +7,7 @@ import pytest
 
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.model_evidence import Evidence
-from engine.watermark.region_tree import Partition
-from engine.watermark.regions import RegionConfig, Regions, State, judge_regions
+from engine.watermark.regions import Partition, RegionConfig, Regions, State, judge_regions
 
 REGIONS, CODES, GAUSSIANS, CARRIERS = 32, 512, 1024, 3
 TINT = CODES * CARRIERS

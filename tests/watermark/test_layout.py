@@ -5,12 +5,11 @@ import pytest
 
 from engine.errors import CapacityError, InputError
 from engine.model import SH_C0
-from engine.watermark.carriers import LUMA, make_carriers
 from engine.watermark.config import CONFIG
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import derive_message, message_hex, message_signs
-from engine.watermark.planning import check_capacity
+from engine.watermark.planning import LUMA, check_capacity, make_carriers
 from engine.watermark.spreading import signed_amplitudes, spread
 
 KEY = OwnerKey(bytes(range(32)))

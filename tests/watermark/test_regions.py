@@ -11,8 +11,7 @@ from engine.errors import InputError
 from engine.watermark.config import CONFIG
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import expected_z
-from engine.watermark.region_tree import Partition, divide
-from engine.watermark.regions import RegionConfig, Regions, State, discoveries, judge_regions
+from engine.watermark.regions import Partition, RegionConfig, Regions, State, discoveries, divide, judge_regions
 from engine.watermark.statistics import claim_z
 from tests.watermark.ball import marked_ball
 

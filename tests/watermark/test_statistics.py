@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from engine.lab.evaluate.null.wrong_keys import wrong_key_z
+from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.watermark.keys import OwnerKey, signs
 from engine.watermark.power import expected_z, moments
 from engine.watermark.statistics import (

@@ -27,8 +27,7 @@ from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import Evidence
-from engine.watermark.region_tree import Partition, divide
-from engine.watermark.regions import RegionConfig, Regions, State, judge_regions
+from engine.watermark.regions import Partition, RegionConfig, Regions, State, divide, judge_regions
 from engine.watermark.statistics import log10_false_claim_bound
 
 __all__ = ["FoundPiece", "RegionReport", "locate_mark"]

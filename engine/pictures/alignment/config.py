@@ -159,7 +159,7 @@ class ToneConfig:
 
 @dataclass(frozen=True)
 class ViewerToneConfig:
-    """Tone curves that a viewer applies to every Gaussian (`viewer_tone`)."""
+    """Tone curves that a viewer applies to every Gaussian (`tone_curve`)."""
 
     side: int = 256  # longer side of the renders that tell, pixels
     solid: float = 0.95  # opacity of the reference from which a pixel counts

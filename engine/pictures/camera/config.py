@@ -30,7 +30,7 @@ class ClimbRound:
 
 @dataclass(frozen=True)
 class KeypointConfig:
-    """Keypoints, their matches and the cameras these support (`keypoint_cameras`, `visible_window`)."""
+    """Keypoints, their matches and the cameras these support (`keypoint_cameras`)."""
 
     count: int = 2000  # SIFT keypoints of a picture
     detection_side: int = 1000  # longer side of the picture they are detected in, pixels
@@ -198,7 +198,7 @@ class FrameConfig:
 
 @dataclass(frozen=True)
 class GroundConfig:
-    """Something on a plain ground (`plain_ground`)."""
+    """Something on a plain ground (`camera_search`)."""
 
     side: int = 320  # longer side of the reduced picture, pixels
     plain: float = 0.03  # difference of color up to which a pixel of the border is ground,

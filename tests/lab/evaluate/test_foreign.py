@@ -11,7 +11,7 @@ import pytest
 from engine.formats import read_model
 from engine.lab.evaluate.bench import foreign, marking
 from engine.lab.evaluate.bench.attacks import other_views
-from engine.lab.evaluate.bench.posting import SIZES, posted_pictures
+from engine.lab.evaluate.bench.foreign import SIZES, posted_pictures
 from engine.model import Float32, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
@@ -74,8 +74,8 @@ def test_posted_pictures_show_the_model_over_something(plant: GaussianModel) -> 
 def test_a_quarter_of_the_posted_pictures_is_turned_over(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
     ramp = np.tile(np.linspace(0, 1, 32, dtype=np.float32), (32, 1))
     drawn = (np.repeat(ramp[..., None], 3, axis=2), np.ones_like(ramp), None)
-    monkeypatch.setattr("engine.lab.evaluate.bench.posting.render_depth", lambda model, camera: drawn)
-    monkeypatch.setattr("engine.lab.evaluate.bench.posting.SIZES", ((32, 32),))
+    monkeypatch.setattr("engine.lab.evaluate.bench.foreign.render_depth", lambda model, camera: drawn)
+    monkeypatch.setattr("engine.lab.evaluate.bench.foreign.SIZES", ((32, 32),))
     posted = posted_pictures(plant, 200, np.random.default_rng(0))
     assert 35 < sum(picture[:, 0].mean() > picture[:, -1].mean() for picture in posted) < 65
 

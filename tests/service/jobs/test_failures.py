@@ -17,7 +17,7 @@ from engine.errors import (
     WrongKeyError,
 )
 from service.problems import KINDS, Problem
-from service.work.failures import describe
+from service.work.process import describe
 
 FORMAT = FormatError("is NaN", file="/data/blob/ab/abcdef", element="vertex", row=7, prop="x")
 

@@ -20,8 +20,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import NameOID
 
 from service.open_network import NOWHERE, is_public
-from service.webhooks import sending
-from service.webhooks.sending import DELIVERED
+from service.webhooks import delivery
+from service.webhooks.delivery import DELIVERED
 from tests.service.webhooks.conftest import Receivers
 from tests.service.webhooks.receiver import answer
 
@@ -63,7 +63,7 @@ Found = dict[str, list[str]]
 
 
 def post(url: str, *, private: bool = True) -> tuple[int | None, str]:
-    return asyncio.run(sending.send(url, b"{}", {"X-Test": "1"}, private=private))
+    return asyncio.run(delivery.send(url, b"{}", {"X-Test": "1"}, private=private))
 
 
 @pytest.fixture
@@ -187,7 +187,7 @@ def pour(handler: BaseHTTPRequestHandler) -> None:
 
 
 def test_nobody_holds_us_for_long(receivers: Receivers, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sending, "SECONDS", 1.0)
+    monkeypatch.setattr(delivery, "SECONDS", 1.0)
     began = time.monotonic()
     assert post(f"http://127.0.0.1:{receivers(drip_headers).port}/") == (None, "no answer within 1 s")
     assert time.monotonic() - began < 4

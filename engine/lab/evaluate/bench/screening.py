@@ -16,7 +16,7 @@ import numpy as np
 from engine.catalogue.catalogue import Catalogue, Likeness, screen_model, screen_pictures
 from engine.catalogue.entry import Entry
 from engine.formats import read_model
-from engine.lab.evaluate.bench.posting import posted_pictures
+from engine.lab.evaluate.bench.foreign import posted_pictures
 from engine.lab.evaluate.strangers import RELATIVES, entry_of, make_stranger, stranger_entries
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import model_attack

@@ -21,7 +21,7 @@ from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
-from engine.lab.evaluate.null.wrong_keys import wrong_key_z
+from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.collusion import RULES, in_order_of
 from engine.lab.sim.adversaries.laundering import shake

@@ -1,1 +1,1 @@
-"""What things cost as scenes, views and pictures grow. Start at `study`; `growth` fits the exponents."""
+"""What things cost as scenes, views and pictures grow. Start at `study`; `cost_charts` fits the exponents."""

@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from engine.lab.evaluate.cost.cost_charts import Curve, draw_formats, draw_growth, draw_roofline
-from engine.lab.evaluate.cost.cost_growth import Growth, fit_growth
+from engine.lab.evaluate.cost.cost_charts import Curve, Growth, draw_formats, draw_growth, draw_roofline, fit_growth
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import busy_words, picked, table
 

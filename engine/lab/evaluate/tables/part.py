@@ -51,7 +51,7 @@ class Setting:
     changes: dict[str, Any] = field(default_factory=dict)
     """Fields of `EmbedConfig` that differ from the profile's, nested as its stages are."""
     without: str = ""
-    """A step to take out that has no knob (see `engine.lab.evaluate.tables.without`)."""
+    """A step to take out that has no knob (see `engine.lab.evaluate.tables.tables_cells`)."""
     bits: int = 32
     unmarked: bool = False
     """Look at the unmarked original in place of the marked model."""

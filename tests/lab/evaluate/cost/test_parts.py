@@ -9,9 +9,8 @@ import pytest
 
 from engine.flows.views.camera_rig import measure_extent
 from engine.formats import read_model
-from engine.lab.evaluate.cost.cost_cells import _roofline, sized
-from engine.lab.evaluate.cost.cost_growth import fit_growth
-from engine.lab.evaluate.cost.peaks import peak_bandwidth, peak_flops
+from engine.lab.evaluate.cost.cost_cells import _roofline, peak_bandwidth, peak_flops, sized
+from engine.lab.evaluate.cost.cost_charts import fit_growth
 
 PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 

@@ -20,11 +20,11 @@ from engine.lab.evaluate.summary import accuracy, mean_text, range_text, share_t
 from engine.lab.evaluate.tables.part import printed
 from engine.lab.evaluate.tables.sections.ablation import LINES, verdict
 from engine.lab.evaluate.tables.sections.fig6 import knobs as knobs_of_figure_6
+from engine.lab.evaluate.tables.tables_cells import STEPS, without
 from engine.lab.evaluate.tables.tables_curves import effect
-from engine.lab.evaluate.tables.without import STEPS, without
 from engine.model import SH_C0
 from engine.watermark import planning
-from engine.watermark.carriers import make_carriers
+from engine.watermark.planning import make_carriers
 from tests.lab.evaluate.tables.test_study import PLANT
 
 # --- settings ------------------------------------------------------------------------------------------------
