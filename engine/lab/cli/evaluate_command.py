@@ -52,7 +52,7 @@ def evaluate(
     ] = None,
     repeats: Annotated[
         int | None,
-        typer.Option("--repeats", min=1, help="Timed runs (3); the median is reported. (raster, embed, verify, life)"),
+        typer.Option("--repeats", min=1, help="Timed runs (3); the median is reported. (raster, embed, verify)"),
     ] = None,
     trials: Annotated[int | None, typer.Option("--trials", min=1, help=TRIALS_HELP)] = None,
     size: Annotated[

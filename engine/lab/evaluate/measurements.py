@@ -88,7 +88,6 @@ MEASUREMENTS = {
         "Gaussians, bytes, seconds, dB and z for every pruning budget, without and with recovery",
         "marking:measure_budgets",
     ),
-    "attacks": Measurement("bits, z and claim after every attack of the bars", "attacks:measure_attacks"),
     "screenshots": Measurement(
         "claims from pictures of unknown camera, and from another scene's",
         "attacks:measure_screenshots",
@@ -132,5 +131,4 @@ MEASUREMENTS = {
     "retrain": Measurement(
         "claims from fresh models trained on renders of the marked one", "training:measure_retraining"
     ),
-    "life": Measurement("speed of physics and of training", "timing:measure_life", (), ("repeats",)),
 }

@@ -52,6 +52,6 @@ def test_scenes_stand_alone_together_or_beside_another() -> None:
 
 def test_the_report_of_a_measurement_is_its_rows() -> None:
     rows = [{"cell": "x", "z": 1.0, "stages": {"a": 1}}, {"cell": "y", "z": 2.0, "bits": 32}]
-    (section,) = find_study("attacks").report(rows, Options(SCENES)).sections
+    (section,) = find_study("fidelity").report(rows, Options(SCENES)).sections
     (table,) = section.tables
     assert (list(table.columns), table.rows) == (["cell", "z", "bits"], [["x", 1.0, ""], ["y", 2.0, 32]])

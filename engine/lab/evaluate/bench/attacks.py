@@ -94,23 +94,6 @@ def claim_row(name: str, verification: Verification) -> Row:
     }
 
 
-def measure_attacks(scene: str, seed: int, profile: str) -> list[Row]:
-    """All model bars, then every image bar on single 800x800 pictures from the key views."""
-    marked = mark_scene(scene, named_profile(profile), seed=seed)
-    rows: list[Row] = []
-    for name, chain in MODEL_BARS:
-        result = read_attacked(marked, Trial(name, chain, "bars"), seed, marked.marked)
-        rows.append({"scene": marked.name, **claim_row(name, result)})
-    on_pictures = [(name, ((attack, strength),)) for name, attack, strength in IMAGE_BARS]
-    for view, camera in enumerate(marked.opened.cameras):
-        picture = to_8_bit(render(marked.marked, camera))
-        for name, chain in (("none", ()), *on_pictures):
-            trial = Trial(name, chain, "bars", "image")
-            result = read_attacked(marked, trial, (seed, view), picture, camera)
-            rows.append({"scene": marked.name, "view": view, **claim_row(name, result)})
-    return rows
-
-
 def other_views(model: GaussianModel, count: int, size: int, seed: Sequence[int]) -> list[Camera]:
     """Square views of the kind the key views are, drawn without the key."""
     return make_rig(model, count, size, size, jitter=np.random.default_rng(seed).random((count, 4)))

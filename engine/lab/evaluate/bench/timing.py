@@ -1,4 +1,4 @@
-"""How long embedding, verifying, physics and training take, stage by stage, and how much memory an embedding needs.
+"""How long embedding and verifying take, stage by stage, and how much memory an embedding needs.
 
 Contract: every scene is marked and verified in a process of its own, so that its peak memory is its own; one run warms
 up (kernels, file cache) and is thrown away, then come the timed ones; medians are reported, with extremes.
@@ -8,7 +8,6 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
@@ -18,7 +17,6 @@ import numpy as np
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.verify.search import Verification, verify_images, verify_model
-from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.kernels.allocation import keep_freed_memory
 from engine.lab.evaluate.bench.attacks import random_view, to_8_bit
@@ -27,15 +25,7 @@ from engine.lab.evaluate.marked_scene import bench_key, mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import image_attack
 from engine.lab.sim.suite import Trial, apply_chain
-from engine.model import GaussianModel
 from engine.raster import render
-
-KERNELS = 100_000
-"""Of the bar on physics."""
-TRAINED, TRAINED_SIZE = 200_000, 400
-"""Gaussians and pixels a side of the bar on training."""
-FRAMES, ITERATIONS = 12, 20
-"""Least runs of physics and of training that are timed."""
 
 T = TypeVar("T")
 
@@ -136,66 +126,3 @@ def _verify(path: str, seed: int, profile: str, repeats: int) -> list[Row]:
             }
         )
     return rows
-
-
-def measure_life(scene: str, seed: int, repeats: int) -> list[Row]:
-    """Speed of physics and of training."""
-    model, name = read_model(scene).model, Path(scene).name
-    return [
-        {"what": "physics", "scene": name, **_physics(_some(model, KERNELS, seed), repeats)},
-        {"what": "training", "scene": name, **_training(_some(model, TRAINED, seed), repeats, seed)},
-    ]
-
-
-def _physics(model: GaussianModel, repeats: int) -> Row:
-    """A model dropped on the ground: milliseconds of a step, of the kernels' centres, of the whole posed model."""
-    from engine.lab.sim.physics.body import kernel_means, make_body, pose
-    from engine.lab.sim.physics.world import World, ground, step
-
-    body = make_body(model)
-    floor = float(body.lattice.points[:, 1].min()) - 0.1 * float(np.ptp(body.lattice.points[:, 1]))
-    world = step(World((body,), planes=(ground(floor),)))  # compiled and warm
-    steps, centers, poses = [], [], []
-    for _ in range(max(FRAMES, repeats)):
-        began = time.perf_counter()
-        world = step(world)
-        steps.append(time.perf_counter() - began)
-        centers.append(seconds_of(partial(kernel_means, world.bodies[0])))
-        poses.append(seconds_of(partial(pose, world.bodies[0])))
-    step_ms, centers_ms, pose_ms = (1e3 * statistics.median(values) for values in (steps, centers, poses))
-    return {
-        "kernels": len(model),
-        "tetrahedra": len(body.lattice.tets),
-        "step_ms": step_ms,
-        "centers_ms": centers_ms,
-        "pose_ms": pose_ms,
-        "steps_per_s": 1e3 / (step_ms + centers_ms),
-        "posed_steps_per_s": 1e3 / (step_ms + pose_ms),
-    }
-
-
-def _training(model: GaussianModel, repeats: int, seed: int) -> Row:
-    """Iterations a second of training all parameters (SSIM and L1) of a disturbed model towards its own pictures."""
-    from engine.lab.sim.capture.trainer import TrainConfig, Trainer
-
-    cameras = make_rig(model, 6, TRAINED_SIZE, TRAINED_SIZE)
-    images = [np.clip(render(model, camera), 0.0, 1.0) for camera in cameras]
-    noise = np.random.default_rng(seed).normal(0.0, 0.1, model.sh.shape).astype(np.float32)
-    config = TrainConfig(steps=1_000, densify=None, sh_degree=None)
-    trainer = Trainer(model.with_(sh=model.sh + noise), cameras, images, config)
-    for _ in range(4):
-        trainer.step()
-    seconds = statistics.median(seconds_of(trainer.step) for _ in range(max(ITERATIONS, repeats)))
-    return {
-        "gaussians": len(model),
-        "sh_degree": model.sh_degree,
-        "pixels": TRAINED_SIZE,
-        "iteration_ms": 1e3 * seconds,
-        "iterations_per_s": 1.0 / seconds,
-    }
-
-
-def _some(model: GaussianModel, count: int, seed: int) -> GaussianModel:
-    if len(model) <= count:
-        return model
-    return model.take(np.sort(np.random.default_rng(seed).choice(len(model), count, replace=False)))
