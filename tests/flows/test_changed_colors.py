@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.sim.adversaries.laundering import rattle, smooth
 from engine.model import Camera, Float32, GaussianModel
+from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.tone_curve import TONES
 from engine.raster import draw, render, sh_colors
 from engine.registration.registration_search import Registration
@@ -67,6 +70,23 @@ def test_washing_is_not_looked_for_through_a_viewers_tone_curve(scene: MarkedSce
     seen = TONES[0](sh_colors(washed.sh, washed.means, camera.position))
     picture = to_8_bit(draw(washed, camera, colors=seen).image)
     assert reference.changed_as(toned, picture, everywhere) is None
+
+
+def test_washing_is_looked_for_once_in_sharp_pictures_of_marks_in_plain_colors(
+    scene: MarkedScene, cameras: list[Camera]
+) -> None:
+    """Else a second washing would be fitted to what the first one left, or to a blur; and all harmonics are not DC."""
+    reference, camera, everywhere = ReferenceViews(scene.opened), cameras[0], np.ones((480, 480), dtype=bool)
+    picture = to_8_bit(render(smooth(scene.marked, 32), camera))
+    changed = reference.changed_as(reference.at(camera), picture, everywhere)
+    assert changed is not None
+    assert changed.changed_as(changed.at(camera), picture, everywhere) is None
+    blur = Blur(np.full((5, 5), 1 / 25, dtype=np.float32))
+    assert reference.changed_as(reference.at(camera).blurred(blur), blur.apply(picture), everywhere) is None
+    layout = scene.opened.layout
+    wide = replace(layout, directions=tuple(np.pad(each, ((0, 0), (0, 45))) for each in layout.directions))
+    whole = ReferenceViews(replace(scene.opened, layout=wide))
+    assert whole.changed_as(reference.at(camera), picture, everywhere) is None
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 from engine.flows.embed.layer_strengths import add_dc
 from engine.pictures.alignment.blur import Blur
+from engine.pictures.alignment.color_change import ColorSmoothing, Neighborhoods
 from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
 from engine.watermark.config import CONFIG
@@ -29,7 +31,7 @@ def marked_picture(ball: Ball, view: int) -> np.ndarray:
     return ball.original.render(view, add_dc(ball.model.sh, ball.displacement))
 
 
-def said(ball: Ball, picture: np.ndarray, view: int = 0, blur: Blur | None = None) -> PictureEvidence:
+def said(ball: Ball, picture: np.ndarray, view: int = 0, blur: Blur | None = None, **shown: Any) -> PictureEvidence:
     reference = ball.original.images[view]
     mark = marked_picture(ball, view) - reference
     mask = np.ones(picture.shape[:2], dtype=bool)
@@ -37,7 +39,12 @@ def said(ball: Ball, picture: np.ndarray, view: int = 0, blur: Blur | None = Non
     if blur is not None:
         picture, reference, mark = (blur.apply(image) for image in (picture, reference, mark))
     return gather_image_evidence(
-        layout, ball.original.views[view], reference, picture, mask, PublicMark(mark, np.sign(ball.signed), blur)
+        layout,
+        ball.original.views[view],
+        reference,
+        picture,
+        mask,
+        PublicMark(mark, np.sign(ball.signed), blur, **shown),
     )
 
 
@@ -75,6 +82,29 @@ def test_what_a_blur_moved_is_pulled_back_to_where_it_came_from(ball: Ball) -> N
     kernel[3, 14] = 1.0
     moved = z(ball, said(ball, marked_picture(ball, 0), blur=Blur(kernel)).evidence())
     assert moved == pytest.approx(z(ball, read(ball, marked_picture(ball, 0))), rel=0.1)
+
+
+def test_what_each_gaussian_says_goes_back_through_the_viewers_curve_and_then_the_washing(ball: Ball) -> None:
+    """The curve comes after the washing in the picture, so before it on the way back: what displacements of the
+    unwashed model answer is what their washed and flattened ones answer in the picture's own colors."""
+    rng = np.random.default_rng(5)
+    steep = rng.uniform(0.2, 1.8, (len(ball.model), 3)).astype(np.float32)
+    washing = ColorSmoothing(Neighborhoods(ball.model.means), np.array([0.3, 0.5, 0.1, 0.1]))
+    displaced = rng.normal(size=(len(ball.model), 3)).astype(np.float32)
+    picture = marked_picture(ball, 0)
+    plain, toned, washed, both = (
+        said(ball, picture, steep=curve, change=change).pulled[0].astype(np.float64)
+        for curve, change in ((None, None), (steep, None), (None, washing), (steep, washing))
+    )
+    scale = np.abs(plain * displaced).sum()
+    for found, forward in (
+        (toned, steep * displaced),
+        (washed, washing.apply(displaced)),
+        (both, steep * washing.apply(displaced)),
+    ):
+        assert (found * displaced).sum() == pytest.approx((plain * forward).sum(), abs=1e-5 * scale)
+        assert abs((found * displaced).sum() - (plain * displaced).sum()) > 1e-3 * scale
+    assert abs((plain * (steep * washing.apply(displaced) - washing.apply(steep * displaced))).sum()) > 1e-3 * scale
 
 
 def test_a_patch_painted_over_saturates(ball: Ball) -> None:
