@@ -94,7 +94,7 @@ class Service:
         """Path where a step can read a blob, if there is one."""
         return str(self.blobs.local(sha256, run.folder)) if sha256 else None
 
-    def local_model(self, request: Mapping[str, Any], run: Run) -> dict[str, Any]:
+    def local_model(self, request: Mapping[str, Any], run: Run) -> dict[str, str | None]:
         """The model of a job's request as tasks take it, with its sender's name for it: jobs of earlier versions have
         none."""
         model = self.local(request["model"], run)

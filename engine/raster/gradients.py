@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -61,7 +60,7 @@ class Gradients:
         n = len(model)
         shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
         shapes |= {"centers": (2, n), "colors": (n, 3), "sh": (n if with_sh else 0, model.sh.shape[1], 3)}
-        arrays: dict[str, Any] = {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
+        arrays = {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
         return cls(**arrays, viewmat=np.zeros((4, 4)), K=np.zeros((3, 3)))
 
 

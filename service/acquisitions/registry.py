@@ -58,7 +58,8 @@ def _keep(
     service: Service, caller: Caller, warc: Path, *, url: str | None, at: str, got: Received, upload: str | None
 ) -> tuple[Any, str]:
     size = warc.stat().st_size
-    values: dict[str, Any] = {"id": f"aq_{secrets.token_hex(12)}", "url": url, "at": at}
+    acquisition = f"aq_{secrets.token_hex(12)}"
+    values: dict[str, str | None] = {"id": acquisition, "url": url, "at": at}
     values |= {"payload_sha256": got.sha256, "warc_sha256": service.blobs.put(warc)}
     facts = acquisition_facts(values)
     token, failure = None, "this service uses no time-stamping service"
@@ -70,8 +71,8 @@ def _keep(
         store.check_quota(connection, service.settings, caller.tenant, size)
         row = values | {"bytes": got.length, "warc_bytes": size, "timestamp": token}
         connection.execute(acquisitions.insert().values(row))
-        audit.append(connection, caller.tenant, ACQUISITION_MADE, {"digest": digest(facts)}, values["id"])
-    return own(service.db, acquisitions, caller.tenant, values["id"]), failure
+        audit.append(connection, caller.tenant, ACQUISITION_MADE, {"digest": digest(facts)}, acquisition)
+    return own(service.db, acquisitions, caller.tenant, acquisition), failure
 
 
 def encoded(token: bytes | None) -> str | None:

@@ -125,7 +125,7 @@ def issue_claim(
         owner=display_name(connection, tenant),
         acquisition=acquired,
     )
-    entry = audit.find(connection, ACQUISITION_MADE, acquired["id"]) if acquired is not None else None
+    entry = audit.find(connection, ACQUISITION_MADE, examined.acquisition) if examined.acquisition else None
     document["audit"] = commit_claim(connection, tenant, document, registered.registration, registered.first, entry)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
@@ -154,7 +154,7 @@ def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
     return ""
 
 
-def _acquired(connection: sa.Connection, tenant: str, acquisition: str) -> dict[str, Any]:
+def _acquired(connection: sa.Connection, tenant: str, acquisition: str) -> dict[str, str | None]:
     """An acquisition as a claim has it."""
     mine = (acquisitions.c.tenant == tenant) & (acquisitions.c.id == acquisition)
     row = connection.execute(acquisitions.select().where(mine)).one_or_none()

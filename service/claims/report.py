@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Template
 
@@ -94,32 +94,43 @@ def timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) -> 
     return [(when(at), what, proof) for at, what, proof in events]
 
 
-def _bit_lines(reading: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """The bits of a reading in lines, most significant first: place, both values, 0 (a coin) to 1 (certain)."""
+class _Bit(NamedTuple):
+    number: int
+    x: int
+    registered: str
+    read: str
+    sure: float  # 0 (a coin) to 1 (certain)
+
+
+class _Scale(NamedTuple):
+    left: int
+    right: int
+    ticks: list[tuple[float, int]]  # place and power of ten
+    bar: float
+    beyond: bool  # the bound lies beyond the axis
+    limits: list[tuple[float, str]]
+
+
+def _bit_lines(reading: Mapping[str, Any]) -> list[list[_Bit]]:
+    """The bits of a reading in lines, most significant first."""
     read, meant = reading["bits"]["string"], reading["registered_bits"]["string"]
     bits = [
-        {
-            "number": k,
-            "x": _LEFT + _CELL * (k % BITS_PER_LINE),
-            "registered": meant[k],
-            "read": read[k],
-            "sure": max(0.0, 2.0 * sure - 1.0),
-        }
+        _Bit(k, _LEFT + _CELL * (k % BITS_PER_LINE), meant[k], read[k], max(0.0, 2.0 * sure - 1.0))
         for k, sure in enumerate(reading["reliability"])
     ]
     return [bits[k : k + BITS_PER_LINE] for k in range(0, len(bits), BITS_PER_LINE)]
 
 
-def _bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> dict[str, Any]:
+def _bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> _Scale:
     """The false-claim bound and its threshold on an axis from 1 (left) down to 10^-60 (right)."""
-    return {
-        "left": _AXIS_LEFT,
-        "right": _AXIS_RIGHT,
-        "ticks": [(_place(power), power) for power in range(0, _AXIS_POWERS + 1, 10)],
-        "bar": _place(-log10_bound),
-        "beyond": -log10_bound > _AXIS_POWERS,
-        "limits": [(_place(-log10), text) for log10, text in limits],
-    }
+    return _Scale(
+        left=_AXIS_LEFT,
+        right=_AXIS_RIGHT,
+        ticks=[(_place(power), power) for power in range(0, _AXIS_POWERS + 1, 10)],
+        bar=_place(-log10_bound),
+        beyond=-log10_bound > _AXIS_POWERS,
+        limits=[(_place(-log10), text) for log10, text in limits],
+    )
 
 
 def _place(powers: float) -> float:

@@ -105,7 +105,9 @@ class Client(_Methods):
         transport: httpx.BaseTransport | None = None,
     ) -> None:
         self.patience = patience
-        self._http = httpx.Client(transport=transport, **_settings(address, api_key))
+        self._http = httpx.Client(
+            base_url=address, headers=_authorization(api_key), timeout=TIMEOUT_SECONDS, transport=transport
+        )
 
     def run(self, flow: Flow[T]) -> T:
         """Do a flow."""
@@ -130,7 +132,14 @@ class Client(_Methods):
     def _send(self, request: Request, fetch: Fetch | None = None) -> Reply:
         headers: dict[str, str] = {}
         try:
-            with self._http.stream(**_arguments(request)) as answer:
+            with self._http.stream(
+                request.method,
+                request.path,
+                headers=dict(request.headers),
+                params=dict(request.params) or None,
+                json=request.json,  # an empty object is a body
+                content=request.content,
+            ) as answer:
                 if fetch is None or not answer.is_success:
                     answer.read()
                     return _reply(answer)
@@ -165,7 +174,9 @@ class AsyncClient(_Methods):
         transport: httpx.AsyncBaseTransport | None = None,
     ) -> None:
         self.patience = patience
-        self._http = httpx.AsyncClient(transport=transport, **_settings(address, api_key))
+        self._http = httpx.AsyncClient(
+            base_url=address, headers=_authorization(api_key), timeout=TIMEOUT_SECONDS, transport=transport
+        )
 
     async def run(self, flow: Flow[T]) -> T:
         """Do a flow; disk and processor are kept busy in a thread."""
@@ -190,7 +201,14 @@ class AsyncClient(_Methods):
     async def _send(self, request: Request, fetch: Fetch | None = None) -> Reply:
         headers: dict[str, str] = {}
         try:
-            async with self._http.stream(**_arguments(request)) as answer:
+            async with self._http.stream(
+                request.method,
+                request.path,
+                headers=dict(request.headers),
+                params=dict(request.params) or None,
+                json=request.json,  # an empty object is a body
+                content=request.content,
+            ) as answer:
                 if fetch is None or not answer.is_success:
                     await answer.aread()
                     return _reply(answer)
@@ -215,15 +233,8 @@ class AsyncClient(_Methods):
         await self.close()
 
 
-def _settings(address: str, api_key: str) -> dict[str, Any]:
-    headers = {"Authorization": f"Bearer {api_key}"}
-    return {"base_url": address, "headers": headers, "timeout": TIMEOUT_SECONDS, "follow_redirects": False}
-
-
-def _arguments(request: Request) -> dict[str, Any]:
-    plain = {"method": request.method, "url": request.path, "headers": dict(request.headers)}
-    given = {"params": dict(request.params) or None, "json": request.json, "content": request.content}
-    return plain | {name: value for name, value in given.items() if value is not None}  # an empty object is a body
+def _authorization(api_key: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {api_key}"}
 
 
 def _headers(answer: httpx.Response) -> dict[str, str]:

@@ -38,7 +38,7 @@ def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str =
     return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"], at)
 
 
-def acquisition_facts(row: Mapping[str, Any]) -> dict[str, Any]:
+def acquisition_facts(row: Mapping[str, Any]) -> dict[str, str | None]:
     """What the log and a time stamp say of an acquisition, by the digest of its canonical form."""
     return {name: row[name] for name in ("id", "url", "at", "payload_sha256", "warc_sha256")}
 
@@ -87,7 +87,7 @@ def commit_claim(
     def proven(logged: Entry) -> dict[str, Any]:
         return {"entry": logged.to_json(), "proof": audit.inclusion_proof(connection, logged.index, size)}
 
-    def begun(first: int) -> dict[str, Any]:
+    def begun(first: int) -> dict[str, int | str | list[str]]:
         proof = audit.consistency_proof(connection, first, size)
         return {"size": first, "root": audit.root(connection, first), "proof": proof}
 

@@ -21,6 +21,7 @@ from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.sim.adversaries.laundering import rattle, smooth
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.alignment.blur import Blur
+from engine.pictures.alignment.color_change import ColorSmoothing, Neighborhoods
 from engine.pictures.alignment.tone_curve import TONES
 from engine.raster import draw, render, sh_colors
 from engine.registration.registration_search import Registration
@@ -78,8 +79,9 @@ def test_washing_is_looked_for_once_in_sharp_pictures_of_marks_in_plain_colors(
     """Else a second washing would be fitted to what the first one left, or to a blur; and all harmonics are not DC."""
     reference, camera, everywhere = ReferenceViews(scene.opened), cameras[0], np.ones((480, 480), dtype=bool)
     picture = to_8_bit(render(smooth(scene.marked, 32), camera))
-    changed = reference.changed_as(reference.at(camera), picture, everywhere)
-    assert changed is not None
+    assert reference.changed_as(reference.at(camera), picture, everywhere) is not None
+    little = ColorSmoothing(Neighborhoods(scene.opened.reference.means), np.array([0.9, 0.1, 0.0, 0.0]))
+    changed = ReferenceViews(scene.opened, little)
     assert changed.changed_as(changed.at(camera), picture, everywhere) is None
     blur = Blur(np.full((5, 5), 1 / 25, dtype=np.float32))
     assert reference.changed_as(reference.at(camera).blurred(blur), blur.apply(picture), everywhere) is None
@@ -87,6 +89,29 @@ def test_washing_is_looked_for_once_in_sharp_pictures_of_marks_in_plain_colors(
     wide = replace(layout, directions=tuple(np.pad(each, ((0, 0), (0, 45))) for each in layout.directions))
     whole = ReferenceViews(replace(scene.opened, layout=wide))
     assert whole.changed_as(reference.at(camera), picture, everywhere) is None
+
+
+def test_washing_is_looked_for_where_the_model_alone_is_seen(scene: MarkedScene, cameras: list[Camera]) -> None:
+    """Neither what covers a part of the picture nor what shines through the model's edges has a say."""
+    reference, camera, mask = ReferenceViews(scene.opened), cameras[0], np.ones((480, 480), dtype=bool)
+    view, picture = reference.at(camera), to_8_bit(render(smooth(scene.marked, 32), camera))
+    plain = reference.changed_as(view, picture, mask)
+    assert plain is not None
+    assert plain.change is not None
+    noise = np.random.default_rng(6).random(picture.shape, dtype=np.float32)
+    behind = np.clip(picture + (1.0 - view.alpha[..., None]) * noise, 0.0, 1.0)
+    found = reference.changed_as(view, behind, mask)
+    assert found is not None
+    assert found.change is not None
+    assert found.change.kept == pytest.approx(plain.change.kept, abs=0.02)
+    covered, mask[:, 200:240] = picture.copy(), False
+    covered[:, 200:240] = noise[:, 200:240]
+    found = reference.changed_as(view, covered, mask)
+    assert found is not None
+    assert found.change is not None
+    assert found.change.kept == pytest.approx(plain.change.kept, abs=0.1)
+    mask[:] = True
+    assert reference.changed_as(view, covered, mask) is None
 
 
 @pytest.mark.long

@@ -3,12 +3,12 @@
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from engine.errors import InputError, Mark3DGSError
 from engine.extras import load_extra
@@ -19,6 +19,18 @@ from engine.numerics.plain import plain
 __all__ = ["run_cells", "write_whole"]
 
 Tell = Callable[[str, float], None]
+
+
+class Measured(TypedDict):
+    """What a cell's file holds."""
+
+    digest: str
+    work: str
+    arguments: Mapping[str, object]
+    rows: list[Row]
+    seconds: float
+    peak_memory_mb: float
+    machine: Mapping[str, object]
 
 
 def run_cells(
@@ -64,7 +76,7 @@ def run_cells(
     return [{"cell": name, **row} for name in names for row in done[name]]
 
 
-def measure(cell: Cell) -> dict[str, Any]:
+def measure(cell: Cell) -> Measured:
     """Run one cell wherever this process is; its rows, and what it took."""
     began = time.perf_counter()
     try:
@@ -89,7 +101,7 @@ def write_whole(path: Path, content: bytes) -> None:
     os.replace(part, path)
 
 
-def _elsewhere(cells: Sequence[Cell], workers: int, dask: str | None) -> Iterator[tuple[Cell, dict[str, Any]]]:
+def _elsewhere(cells: Sequence[Cell], workers: int, dask: str | None) -> Iterator[tuple[Cell, Measured]]:
     """Results of other processes, as they come."""
     with _executor(workers, dask) as executor:
         waiting = {executor.submit(measure, cell): cell for cell in cells}

@@ -44,7 +44,7 @@ TITLE_LETTERS = 11.5
 """Of a bold title of 10 points, an inch."""
 INK, FAINT = "#1a1a1a", "#9a9a9a"
 
-STYLE: dict[str, Any] = {
+STYLE: dict[str, str | float | bool] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 10.0,

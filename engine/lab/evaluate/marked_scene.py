@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
+Changes = Mapping[str, "bool | int | float | str | Sequence[float] | Changes | None"]
+"""Fields of a configuration that differ, as plain values, nested as its stages are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ def mark_copies(
     return scenes
 
 
-def configure(start: str, *changes: dict[str, Any]) -> EmbedConfig:
+def configure(start: str, *changes: Changes) -> EmbedConfig:
     """A profile with changes as plain values, nested as its stages are; InputError for an unknown field."""
     config = profile(start)
     for change in changes:
@@ -73,13 +75,13 @@ def configure(start: str, *changes: dict[str, Any]) -> EmbedConfig:
     return config
 
 
-def _changed(config: T, changes: dict[str, Any]) -> T:
+def _changed(config: T, changes: Changes) -> T:
     known = {f.name for f in fields(config)}
     values = {}
     for name, value in changes.items():
         if name not in known:
             raise InputError(f"{type(config).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             value = _changed(getattr(config, name), value)
         values[name] = tuple(value) if isinstance(value, list) else value
     return replace(config, **values)

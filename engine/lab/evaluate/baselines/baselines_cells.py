@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -128,7 +127,7 @@ def _attacked_pictures(marked: GaussianModel, cameras: Sequence[Camera], quick: 
 
 def _wrong_keys(
     method: Method, original: GaussianModel, marked: GaussianModel, kept: Kept, message: Signs, count: int
-) -> dict[str, Any]:
+) -> dict[str, int | list[int] | None]:
     """How many bits of other owners' messages their keys read from the marked model, and ours from the unmarked one."""
     own = method.read_model(marked, kept)
     matches: list[int] = []

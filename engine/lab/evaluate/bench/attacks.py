@@ -5,7 +5,6 @@ Extraction is informed: every row was read with the owner's record.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -199,5 +198,4 @@ def measure_suite(scene: str, seed: int, profile: str, other: str) -> list[Row]:
     first, *copies = mark_copies(scene, named_profile(profile, landmark_views=0), names, bits=BITS, seed=seed)
     another = None if Path(other).name == Path(scene).name else read_model(other).model
     company = Company([copy.marked for copy in copies], another)
-    rows: list[dict[str, Any]] = run_suite(first, SUITE, company=company, seed=seed)
-    return failures_first(rows)
+    return failures_first(run_suite(first, SUITE, company=company, seed=seed))

@@ -10,7 +10,6 @@ process.
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.lab.evaluate.bench.timing import median_ms
 from engine.lab.evaluate.machine import machine_info, peak_memory_mb
+from engine.lab.evaluate.study import Row
 from engine.lab.raster.sh_gradients import sh_colors_backward
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors
@@ -96,12 +96,12 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     return image
 
 
-def measure_raster(scene: str, seed: int, repeats: int, size: tuple[int, int]) -> list[dict[str, Any]]:
+def measure_raster(scene: str, seed: int, repeats: int, size: tuple[int, int]) -> list[Row]:
     """`bench_raster` of a scene; nothing is drawn by lot."""
     return [{"scene": Path(scene).name, **bench_raster(read_model(scene).model, *size, repeats)}]
 
 
-def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, repeats: int = 9) -> dict[str, Any]:
+def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, repeats: int = 9) -> Row:
     """Time the rasterizer on one model and the view of `bench_camera`, in pixels.
 
     JSON-ready: `forward_ms` (render: projection to image), `prepare_ms` (a view that is kept), `blend_ms` (the raster
@@ -138,18 +138,19 @@ def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, rep
     }
     if len(view.geometry.discs) == 0:
         stages["backward_ms"] = lambda: backward(rendering, cotangent, out=gradients)
-    result: dict[str, Any] = {name: median_ms(stage, repeats) for name, stage in stages.items()}
+    times = {name: median_ms(stage, repeats) for name, stage in stages.items()}
     with borrow_workspace() as work:
         _, _, fragments = blend_colors(view.geometry, colors, np.zeros(3, np.float32), work)
     machine = machine_info()
-    return result | {
-        "speedup_over_naive": round(result["naive_forward_ms"] / result["blend_ms"], 1),
+    return {
+        **times,
+        "speedup_over_naive": round(times["naive_forward_ms"] / times["blend_ms"], 1),
         "gaussians": len(model),
         "visible": len(view.visible),
         "pairs": len(view.geometry.ids),
         "width": width,
         "height": height,
-        "fragments_per_second": fragments / (result["blend_ms"] / 1000.0),
+        "fragments_per_second": fragments / (times["blend_ms"] / 1000.0),
         "threads": thread_count(),
         "repeats": repeats,
         "peak_memory_mb": round(peak_memory_mb(), 1),

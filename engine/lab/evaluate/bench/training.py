@@ -4,7 +4,6 @@ The latter has no published results. Our reading is informed: it uses the owner'
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
-from engine.lab.evaluate.marked_scene import MarkedScene, configure, mark_scene
+from engine.lab.evaluate.marked_scene import Changes, MarkedScene, configure, mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.retraining import (
     SETTINGS,
@@ -38,14 +37,7 @@ def stops_until(epochs: int) -> tuple[int, ...]:
 
 
 def measure_fine_tuning(
-    scene: str,
-    setting: str,
-    seed: int,
-    profile: str,
-    epochs: int,
-    *,
-    size: int = 400,
-    changes: dict[str, Any] | None = None,
+    scene: str, setting: str, seed: int, profile: str, epochs: int, *, size: int = 400, changes: Changes | None = None
 ) -> list[Row]:
     """Bits and claim of the model route along one training by a setting of SETTINGS; a row for each number of epochs.
 

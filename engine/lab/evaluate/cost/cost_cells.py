@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -191,7 +190,7 @@ def measure_roofline(scene: str, quick: bool) -> list[Row]:
     return [_roofline(raster, peak_bandwidth(1 << 21 if quick else 1 << 25), peak_flops(1 << 17 if quick else 1 << 22))]
 
 
-def _roofline(raster: dict[str, Any], bandwidth: float, flops: float) -> Row:
+def _roofline(raster: Row, bandwidth: float, flops: float) -> Row:
     seconds = raster["blend_ms"] / 1000.0
     fragments = raster["fragments_per_second"] * seconds
     operations = FLOPS_PER_FRAGMENT * fragments

@@ -5,8 +5,8 @@ A cost grows as c * size^k, fitted on logarithms.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle
-from typing import Any
 
 import numpy as np
 from scipy.stats import linregress, t
@@ -77,10 +77,10 @@ def draw_roofline(rows: Sequence[Row]) -> Figure:
     ridge = peak / bandwidth
     x = np.geomspace(min(1.0, ridge / 4), max(200.0, 4 * ridge), 100)
     axes.plot(x, np.minimum(peak, x * bandwidth) / 1e9, color=INK)
-    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8, "color": INK}
+    note = partial(axes.annotate, textcoords="offset points", fontsize=8, color=INK)
     left = 1.3 * x[0]
-    axes.annotate(f"{bandwidth / 1e9:.0f} GB/s", (left, left * bandwidth / 1e9), xytext=(0, -14), **look)
-    axes.annotate(f"{peak / 1e9:.0f} GFLOP/s", (x[-1], peak / 1e9), xytext=(0, 4), ha="right", **look)
+    note(f"{bandwidth / 1e9:.0f} GB/s", (left, left * bandwidth / 1e9), xytext=(0, -14))
+    note(f"{peak / 1e9:.0f} GFLOP/s", (x[-1], peak / 1e9), xytext=(0, 4), ha="right")
     for row, style in zip(rows, styles(), strict=False):
         at, achieved, attainable = row["flops_per_byte"], row["achieved_flops"] / 1e9, row["attainable_flops"] / 1e9
         axes.plot([at, at], [achieved, attainable], color=FAINT, linestyle=":", linewidth=1.0)

@@ -48,11 +48,15 @@ def _of_scene(number: int, scene: str, options: Options) -> list[Cell]:
         if quick
         else {}
     )
-    cells: list[tuple[str, str, dict[str, Any]]] = []
+    stem = Path(scene).stem.replace(" ", "-")
+    cells: list[Cell] = []
+
+    def measured(name: str, work: str, **arguments: Any) -> None:
+        cells.append(Cell(f"{number}-{stem}-{name}", f"{MODULE}:{work}", {"scene": scene, **arguments}))
 
     def add(axis: str, size: int, **arguments: Any) -> None:
-        shared = {"scene": scene, "axis": axis, "size": size, "seed": options.seed}
-        cells.append((f"{axis}-{size}", "measure_size", {**shared, **light, **arguments}))
+        shared = {"axis": axis, "size": size, "seed": options.seed}
+        measured(f"{axis}-{size}", "measure_size", **{**shared, **light, **arguments})
 
     for count in (2_500, 5_000) if quick else GAUSSIANS:
         once = {} if quick or count < LARGE else {"repeats": 1}
@@ -63,10 +67,9 @@ def _of_scene(number: int, scene: str, options: Options) -> list[Cell]:
     for size in (64, 160) if quick else SIZES:
         add("pixels", size, view_size=size, raster_size=[size, size], **{"landmarks": 0, **thinned})
     formats = ["splat", "sog"] if quick else list(FORMATS)
-    cells.append(("formats", "measure_formats", {"scene": scene, "formats": formats}))
-    cells.append(("roofline", "measure_roofline", {"scene": scene, "quick": quick}))
-    stem = Path(scene).stem.replace(" ", "-")
-    return [Cell(f"{number}-{stem}-{name}", f"{MODULE}:{work}", values) for name, work, values in cells]
+    measured("formats", "measure_formats", formats=formats)
+    measured("roofline", "measure_roofline", quick=quick)
+    return cells
 
 
 def _report(rows: list[Row], options: Options) -> Report:

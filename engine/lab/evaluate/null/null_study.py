@@ -36,28 +36,30 @@ SIGNIFICANT = 0.05
 
 def cells(options: Options) -> list[Cell]:
     """One cell for each kind of suspect and scene; each pair of neighbouring scenes once."""
-    quick = options.quick
+    return [cell for number, path in enumerate(options.scenes) for cell in _of_scene(number, path, options)]
+
+
+def _of_scene(number: int, path: str, options: Options) -> list[Cell]:
+    quick, made = options.quick, list[Cell]()
     keys = 100_000 if quick else 1_000_000
     shares, counts = list(SHARES[2:5] if quick else SHARES), list(PICTURES[:2] if quick else PICTURES)
     samples = {"samples": 60, "draws": 19, "keys": 1} if quick else {"samples": 400, "draws": 199, "keys": 2}
-    work: dict[str, tuple[Callable[..., list[Row]], dict[str, Any]]] = {
-        **{f"found-{name}": (null_cells.try_found, {"name": name, "keys": keys}) for name in null_cells.FOUND},
-        "crafted": (null_cells.try_crafted, {"keys": keys}),
-        "copies": (null_cells.try_copies, {"copies": 200 if quick else 10_000}),
-        "wrong-detector": (null_cells.rebuild_reference, {"keys": 5 if quick else 100}),
-        "forged": (null_cells.forge_original, {}),
-        "oracle": (null_cells.ask_oracle, {"repeats": 1 if quick else 10}),
-        "gaussians": (null_cells.few_gaussians, {"shares": shares, "trials": 2 if quick else 20}),
-        "pictures": (null_cells.few_pictures, {"counts": counts, "draws": 20 if quick else 200}),
-        "attributes": (detectability.compare_attributes, samples),
-    }
-    made = []
-    for number, path in enumerate(options.scenes):
-        common = {"path": path, "quick": quick, "seed": options.seed}
-        made += [Cell.of(f"{number}-{name}", do, **common, **arguments) for name, (do, arguments) in work.items()]
-        if len(options.scenes) > 1:
-            other = options.scenes[(number + 1) % len(options.scenes)]
-            made.append(Cell.of(f"{number}-pair", null_cells.try_pairs, **common, other=other))
+
+    def add(name: str, work: Callable[..., list[Row]], /, **arguments: Any) -> None:
+        made.append(Cell.of(f"{number}-{name}", work, path=path, quick=quick, seed=options.seed, **arguments))
+
+    for name in null_cells.FOUND:
+        add(f"found-{name}", null_cells.try_found, name=name, keys=keys)
+    add("crafted", null_cells.try_crafted, keys=keys)
+    add("copies", null_cells.try_copies, copies=200 if quick else 10_000)
+    add("wrong-detector", null_cells.rebuild_reference, keys=5 if quick else 100)
+    add("forged", null_cells.forge_original)
+    add("oracle", null_cells.ask_oracle, repeats=1 if quick else 10)
+    add("gaussians", null_cells.few_gaussians, shares=shares, trials=2 if quick else 20)
+    add("pictures", null_cells.few_pictures, counts=counts, draws=20 if quick else 200)
+    add("attributes", detectability.compare_attributes, **samples)
+    if len(options.scenes) > 1:
+        add("pair", null_cells.try_pairs, other=options.scenes[(number + 1) % len(options.scenes)])
     return made
 
 

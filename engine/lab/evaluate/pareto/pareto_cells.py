@@ -123,7 +123,7 @@ def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bo
     Returns the first embedding and a row: median of each stage, processor time of each run (the first has the landmark
     bank if any has), and what was chosen.
     """
-    more: dict[str, Any] = {"landmark_views": 0, "view_size": QUICK_SIZE} if quick else {}
+    more = {"landmark_views": 0, "view_size": QUICK_SIZE} if quick else {}
     if point.shares_landmarks:
         more["landmark_views"] = 0
     made: list[Embedding] = []

@@ -1,6 +1,7 @@
 """Figures of speed against accuracy: ours next to published ones, and what each knob of ours buys."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from engine.lab.evaluate.figures import INK, MARKERS, Axes, Figure, figure, label_line, styles
@@ -71,12 +72,12 @@ def draw_time_and_fidelity(found: Sequence[Result], published: Sequence[Publishe
 
 def _peers_and_ours(axes: Axes, others: Sequence[Peer], ours: Sequence[tuple[float, float]]) -> None:
     axes.set_xscale("log")
-    hollow: dict[str, Any] = {"markerfacecolor": "white", "markeredgecolor": OTHERS, "linestyle": "none"}
+    hollow = partial(axes.plot, markersize=6, markerfacecolor="white", markeredgecolor=OTHERS, linestyle="none")
     for mark, blind in (("o", True), ("D", False)):
         points = [(seconds, value) for _, seconds, value, reads_blind in others if reads_blind is blind]
         if points or blind:
             label = f"published, hardware as named, {'blind' if blind else 'informed'}"
-            axes.plot([x for x, _ in points], [y for _, y in points], mark, label=label, markersize=6, **hollow)
+            hollow([x for x, _ in points], [y for _, y in points], mark, label=label)
     _name_points(axes, [(name, seconds, value) for name, seconds, value, _ in others])
     seconds = [x for x, _ in ours]
     look = {"color": next(styles())["color"], "markersize": 5, "linestyle": "none"}

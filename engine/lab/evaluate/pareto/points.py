@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from engine.flows.embed.profiles import AUTO, EmbedConfig
-from engine.lab.evaluate.marked_scene import configure
+from engine.lab.evaluate.marked_scene import Changes, configure
 
 NESTED = {"cells": ("quantize", "cells"), "budget": ("prune", "budget_db")}
 """Short names of knobs that belong to a stage of the embedding."""
@@ -18,7 +18,7 @@ class Point:
     axis: str
     profile: str = "fast"
     """Where it starts from; AUTO leaves it to `engine.flows.embed.auto_profile`."""
-    changes: dict[str, Any] = field(default_factory=dict)
+    changes: Changes = field(default_factory=dict)
     """Knobs of EmbedConfig, and those of NESTED."""
     bits: int = 32
     degree: int | None = None
@@ -74,8 +74,8 @@ def points(quick: bool) -> list[Point]:
 
 def config_of(point: Point, **more: Any) -> EmbedConfig:
     """Settings of a point, `more` on top; of `auto`, those that the choice starts from."""
-    changes = point.changes | more
-    deep: dict[str, dict[str, Any]] = {}
+    changes = {**point.changes, **more}
+    deep: dict[str, Changes] = {}
     for name, (stage, knob) in NESTED.items():
         if name in changes:
             deep[stage] = {knob: changes.pop(name)}

@@ -5,7 +5,6 @@ import io
 import pickle
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -59,7 +58,7 @@ def look_at_mark(
     return [*rows, {**about, "kind": "picture", "of": worst["kind"], **pictures}]
 
 
-def _fidelity(plain: Float32, marked: Float32) -> dict[str, Any]:
+def _fidelity(plain: Float32, marked: Float32) -> dict[str, float]:
     levels = np.abs(np.rint(255 * (to_8_bit(marked) - to_8_bit(plain))))
     return {
         "psnr": psnr(plain, marked),
@@ -69,7 +68,7 @@ def _fidelity(plain: Float32, marked: Float32) -> dict[str, Any]:
     }
 
 
-def _perception(plain: Float32, marked: Float32, perceived: Distance | None) -> dict[str, Any]:
+def _perception(plain: Float32, marked: Float32, perceived: Distance | None) -> dict[str, float | None]:
     errors = flip_map(plain, marked)
     row = {
         "ms_ssim": 1.0 - ms_ssim_distance(plain, marked),

@@ -10,7 +10,7 @@ without the very original: of this scene itself he has the unmarked and several 
 the regions that he is tested on.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,7 @@ def _in_order(stored: GaussianModel, model: GaussianModel) -> GaussianModel:
     return stored.take(cKDTree(place(stored)).query(place(model), workers=2)[1])
 
 
-def _classifiers(seed: int) -> dict[str, Any]:
+def _classifiers(seed: int) -> Mapping[str, Any]:
     load_extra("sklearn", "lab", "the learned detector")
     from sklearn.ensemble import RandomForestClassifier
     from sklearn.linear_model import LogisticRegression
@@ -151,7 +151,7 @@ def _score(classifier: Any, features: Float64) -> Float64:
     return np.asarray(classifier.predict_proba(features)[:, 1])
 
 
-def _judged(scores: Sequence[Float64]) -> dict[str, Any]:
+def _judged(scores: Sequence[Float64]) -> dict[str, float]:
     """AUC of regions (scenes' scores are (1 + keys, R), the unmarked model first), resampled by region.
 
     ``shift`` is the mean difference of marked and unmarked scores in standard deviations of the unmarked ones: what

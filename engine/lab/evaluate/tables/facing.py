@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any
 
 from engine.lab.evaluate.study import Options, Row
 from engine.lab.evaluate.summary import accuracy, picked
@@ -65,7 +64,7 @@ def _kinds(rows: list[Row]) -> dict[str, list[Row]]:
     return {kind: picked(rows, kind=kind) for kind in ("marked", "view", "picture")}
 
 
-def _own_table(name: str) -> list[dict[str, Any]]:
+def _own_table(name: str) -> list[Row]:
     return [row for row in printed(name) if row["system"] == "Mark3DGS"]
 
 

@@ -1,13 +1,14 @@
 """A table or figure of the study: the settings and cells it needs, what the paper prints in it, what its rows say."""
 
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
+from engine.lab.evaluate.marked_scene import Changes
 from engine.lab.evaluate.study import Bar, Cell, Options, Row, Section, Table
 from engine.lab.evaluate.summary import Column, grouped, mean_text, picked, table
 
@@ -48,7 +49,7 @@ class Setting:
     """A row of an ablation, a point of a curve, as plain values; its name, unique among all tables, names cells."""
 
     name: str
-    changes: dict[str, Any] = field(default_factory=dict)
+    changes: Changes = field(default_factory=dict)
     """Fields of `EmbedConfig` that differ from the profile's, nested as its stages are."""
     without: str = ""
     """A step to take out that has no knob (see `engine.lab.evaluate.tables.tables_cells`)."""
@@ -77,7 +78,7 @@ def efforts(options: Options) -> tuple[Effort, Effort]:
     return (Effort(1, 1, 256), Effort(1, 1, 192)) if options.quick else (Effort(3, 4, 800), Effort(2, 3, 480))
 
 
-def changes_of(options: Options) -> dict[str, Any]:
+def changes_of(options: Options) -> Changes:
     """What differs from the profile in every embedding of this run; cameras are given, so there are no landmarks."""
     return {"landmark_views": 0, **({"views": 2, "view_size": 256} if options.quick else {})}
 
@@ -114,12 +115,20 @@ def rows_of_setting(rows: Iterable[Row], name: str) -> dict[str, list[Row]]:
     return {kind: found.get(kind, []) for kind in KINDS}
 
 
+class PrintedTable(TypedDict):
+    """One of the paper's tables as the file has it."""
+
+    columns: list[str]
+    rows: list[list[str | float]]  # "-" where the paper prints nothing
+
+
 @cache
-def _paper() -> dict[str, Any]:
-    return tomllib.loads(files(__package__).joinpath("paper.toml").read_text())
+def _paper() -> Mapping[str, PrintedTable]:
+    found: Mapping[str, PrintedTable] = tomllib.loads(files(__package__).joinpath("paper.toml").read_text())
+    return found
 
 
-def printed(name: str) -> list[dict[str, Any]]:
+def printed(name: str) -> list[Row]:
     """Rows of one of the paper's tables, each a dict by column; what it does not print is None."""
     found = _paper()[name]
     return [

@@ -2,7 +2,6 @@
 
 import time
 from statistics import fmean
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.views.view_set import early_stop
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.figures import Axes, label_line, styles
+from engine.lab.evaluate.marked_scene import Changes
 from engine.lab.evaluate.study import Cell, Options, Row, Table
 from engine.lab.evaluate.summary import accuracy, mean_text, picked, share_text, table
 from engine.lab.evaluate.tables.part import DEFAULT, changes_of, efforts, scenes_of
@@ -23,9 +23,7 @@ ENDED = 1.0 / 255.0
 """A pixel whose opacity falls by more than this was ended by the stop."""
 
 
-def measure_stops(
-    scene: str, seed: int, views: int, size: int, changes: dict[str, Any], taus: list[float]
-) -> list[Row]:
+def measure_stops(scene: str, seed: int, views: int, size: int, changes: Changes, taus: list[float]) -> list[Row]:
     """A row for each view and tau, and for none (the whole picture)."""
     marked = mark_setting(scene, DEFAULT, seed, changes)
     weights = early_stop(marked.marked, 1.0).weights

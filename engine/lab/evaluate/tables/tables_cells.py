@@ -27,7 +27,7 @@ from engine.formats import encode_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.bench.raster import bench_camera
 from engine.lab.evaluate.bench.timing import seconds_of, spread
-from engine.lab.evaluate.marked_scene import MarkedScene, configure, mark_scene
+from engine.lab.evaluate.marked_scene import Changes, MarkedScene, configure, mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.evaluate.tables.part import DEFAULT, Setting
 from engine.lab.sim.attack import Label
@@ -80,7 +80,7 @@ REPORTED = (
 
 
 def measure_setting(
-    scene: str, setting: dict[str, Any], seed: int, views: int, size: int, changes: dict[str, Any], attacked: bool
+    scene: str, setting: dict[str, Any], seed: int, views: int, size: int, changes: Changes, attacked: bool
 ) -> list[Row]:
     """Mark a scene by a setting (fields of `Setting`, after the run's own changes) and look at it from other views.
 
@@ -124,7 +124,7 @@ def attack_pictures(
     seed: int,
     views: int,
     size: int,
-    changes: dict[str, Any],
+    changes: Changes,
     columns: list[str],
     setting: dict[str, Any] | None = None,
 ) -> list[Row]:
@@ -145,7 +145,7 @@ def attack_pictures(
 
 
 def attack_models(
-    scene: str, seed: int, changes: dict[str, Any], columns: list[str], setting: dict[str, Any] | None = None
+    scene: str, seed: int, changes: Changes, columns: list[str], setting: dict[str, Any] | None = None
 ) -> list[Row]:
     """Attacks on the marked model; a row for each reading and column."""
     marked = mark_setting(scene, DEFAULT if setting is None else Setting(**setting), seed, changes)
@@ -161,7 +161,7 @@ def attack_models(
 
 
 def measure_costs(
-    scene: str, profile: str, seed: int, repeats: int, width: int, height: int, changes: dict[str, Any]
+    scene: str, profile: str, seed: int, repeats: int, width: int, height: int, changes: Changes
 ) -> list[Row]:
     """Table 3: seconds of `repeats` markings and verifications, one before them not timed where there are several.
 
@@ -199,7 +199,7 @@ def _frames(model: GaussianModel, camera: Camera, repeats: int) -> float:
     return 1.0 / statistics.median(seconds_of(lambda: render(model, camera)) for _ in range(max(repeats, 3)))
 
 
-def mark_setting(scene: str, setting: Setting, seed: int, changes: dict[str, Any]) -> MarkedScene:
+def mark_setting(scene: str, setting: Setting, seed: int, changes: Changes) -> MarkedScene:
     """The scene marked by a setting, after the run's own changes."""
     config = configure(setting.profile, changes, setting.changes)
     return mark_scene(scene, config, bits=setting.bits, seed=seed, variant=without(setting.without, config.quantize))

@@ -20,7 +20,7 @@ def strength(db: float) -> Setting:
     return Setting(f"psnr-{db:g}", {"psnr_db": db, "ssim": 0.0})
 
 
-def pruned(budget: float, gamma: float | None = None, **more: object) -> Setting:
+def pruned(budget: float, gamma: float | None = None, **more: float | str) -> Setting:
     """Pruned to a budget, dB; the profile's own gamma where none is given."""
     knobs = {"budget_db": budget, **({} if gamma is None else {"gamma": gamma}), **more}
     return Setting("-".join(["prune", *(f"{k}-{v}" for k, v in knobs.items())]), {"prune": knobs})

@@ -48,7 +48,7 @@ def cells(options: Options) -> list[Cell]:
     made = []
     for short, path in scenes_of(options):
         for seed in range(options.seed, options.seed + effort.keys):
-            on: dict[str, Any] = {"scene": path, "seed": seed, "changes": changes_of(options), "columns": columns}
+            on = {"scene": path, "seed": seed, "changes": changes_of(options), "columns": columns}
             seen = {**on, "views": effort.views, "size": effort.size}
             made.append(Cell(f"table2-pictures-{short}-k{seed}", f"{MEASURING}:attack_pictures", seen))
             made.append(Cell(f"table2-models-{short}-k{seed}", f"{MEASURING}:attack_models", on))

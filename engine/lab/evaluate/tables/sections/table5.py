@@ -1,9 +1,8 @@
 """Table 5: fine-tuning in four settings."""
 
-from typing import Any
-
 from engine.lab.evaluate.figures import Figure, figure, styles
 from engine.lab.evaluate.intervals import share_interval
+from engine.lab.evaluate.marked_scene import Changes
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Row, Section
 from engine.lab.evaluate.summary import picked, table
 from engine.lab.evaluate.tables.part import PROFILE, PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
@@ -32,11 +31,11 @@ def cells(options: Options) -> list[Cell]:
 
 
 def training(
-    path: str, setting: str, options: Options, profile: str, changes: dict[str, Any]
-) -> tuple[str, dict[str, Any]]:
+    path: str, setting: str, options: Options, profile: str, changes: Changes
+) -> tuple[str, dict[str, str | int | Changes]]:
     """Function and arguments of a cell: one training of a scene marked by a profile with these changes."""
     epochs, size = (2, 200) if options.quick else (EPOCHS, SIZE)
-    shared = {"seed": options.seed, "epochs": epochs, "size": size, "changes": changes}
+    shared: dict[str, str | int | Changes] = {"seed": options.seed, "epochs": epochs, "size": size, "changes": changes}
     work = "engine.lab.evaluate.bench.training:measure_fine_tuning"
     return work, {"scene": path, "setting": setting, "profile": profile, **shared}
 
