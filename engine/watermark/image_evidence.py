@@ -19,11 +19,9 @@ from engine.model import SH_C0, Bool, Float32, Float64
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import ColorChange
 from engine.pictures.alignment.residual import image_cotangent
-from engine.pictures.alignment.tone_curve import Toned
-from engine.pictures.alignment.uneven_light import fit_colors
-from engine.pictures.jpeg.block_grid import find_grid
+from engine.pictures.alignment.tone_and_light import Toned, fit_colors
+from engine.pictures.jpeg.coded_blocks import agreement, block_spread, find_grid, jpeg_cotangent, match_exposure
 from engine.pictures.jpeg.config import CONFIG as JPEG
-from engine.pictures.jpeg.quantizer_score import agreement, block_spread, jpeg_cotangent, match_exposure
 from engine.raster import View
 from engine.watermark.alike_kernels import scale_alike, sum_alike
 from engine.watermark.config import CONFIG

@@ -22,7 +22,7 @@ from engine.lab.sim.adversaries.laundering import rattle, smooth
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import ColorSmoothing, Neighborhoods
-from engine.pictures.alignment.tone_curve import TONES
+from engine.pictures.alignment.tone_and_light import TONES
 from engine.raster import draw, render, sh_colors
 from engine.registration.registration_search import Registration
 from engine.watermark.layers import layered_z

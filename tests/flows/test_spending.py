@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.flows.embed.auto_profile import Choice, choose
+from engine.flows.embed.auto_profile import Choice, Rehearsal, Rehearsing, choose
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import Auto, compose, delivered_as, profile
-from engine.flows.embed.rehearsal import Rehearsal, Rehearsing
 from engine.flows.views.view_set import worst_psnr_against
 from engine.formats import encode_model
 from engine.lab.evaluate.marked_scene import bench_key

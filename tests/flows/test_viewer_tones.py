@@ -13,7 +13,7 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32
-from engine.pictures.alignment.tone_curve import TONES, ViewerTone
+from engine.pictures.alignment.tone_and_light import TONES, ViewerTone
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS, FoundCamera
 from engine.raster import draw, prepare_view, render, sh_colors
 

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.pictures.jpeg.block_grid import LUMA, JpegGrid, _fit_tables, blocks_of, find_grid, find_quality, luma_table
+from engine.pictures.jpeg.coded_blocks import (
+    LUMA,
+    JpegGrid,
+    _fit_tables,
+    blocks_of,
+    find_grid,
+    find_quality,
+    luma_table,
+)
 from tests.pictures.image_cases import coarse_picture as picture
 from tests.pictures.image_cases import saved as save
 from tests.reference.jpeg_tables import fit_tables

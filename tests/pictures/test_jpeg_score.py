@@ -5,8 +5,14 @@ import pytest
 from scipy import integrate, ndimage
 from scipy.stats import norm
 
-from engine.pictures.jpeg.block_grid import LUMA, find_quality
-from engine.pictures.jpeg.quantizer_score import _truncated_mean, agreement, block_spread, jpeg_cotangent
+from engine.pictures.jpeg.coded_blocks import (
+    LUMA,
+    _truncated_mean,
+    agreement,
+    block_spread,
+    find_quality,
+    jpeg_cotangent,
+)
 from tests.pictures.image_cases import coarse_picture as picture
 from tests.pictures.image_cases import saved as save
 

@@ -10,8 +10,7 @@ import pytest
 from engine.lab.sim.attacks import image_attack
 from engine.pictures.alignment.planar import align_image
 from engine.pictures.alignment.residual import image_cotangent
-from engine.pictures.alignment.tone_curve import _clipped_mean
-from engine.pictures.alignment.uneven_light import fit_colors, fit_light, predict_brightness
+from engine.pictures.alignment.tone_and_light import _clipped_mean, fit_colors, fit_light, predict_brightness
 from tests.pictures.image_cases import SIDE, marked, picture, z_score
 
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)

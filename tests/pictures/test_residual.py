@@ -12,7 +12,7 @@ from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures.alignment import residual
 from engine.pictures.alignment.planar import align_image
 from engine.pictures.alignment.residual import image_cotangent
-from engine.pictures.alignment.tone_curve import Toned, fit_tone, robust_regression
+from engine.pictures.alignment.tone_and_light import Toned, fit_tone, robust_regression
 from engine.pictures.landmarks.keypoints import LUMA
 from tests.pictures.image_cases import attack, marked, picture, z_score
 

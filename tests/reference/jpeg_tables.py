@@ -1,4 +1,4 @@
-"""Slow twin of `engine.pictures.jpeg.block_grid._fit_tables`."""
+"""Slow twin of `engine.pictures.jpeg.coded_blocks._fit_tables`."""
 
 import numpy as np
 

@@ -12,7 +12,7 @@ from PIL import Image
 from engine.flows.embed.layer_strengths import add_dc
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import ColorSmoothing, Neighborhoods
-from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
+from engine.pictures.jpeg.coded_blocks import jpeg_cotangent
 from engine.watermark import image_evidence
 from engine.watermark.config import CONFIG
 from engine.watermark.image_evidence import PictureEvidence, PublicMark, _limits, gather_image_evidence

@@ -80,7 +80,7 @@ class BankConfig:
 
 @dataclass(frozen=True)
 class RehearsalConfig:
-    """The bad pictures that a mark is tried on (`rehearsal`)."""
+    """The bad pictures that a mark is tried on (`auto_profile`)."""
 
     side: int = 800  # of the picture, pixels
     quality: int = 10  # of the JPEG it goes through

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from engine.model import Float32
-from engine.pictures.jpeg.block_grid import STANDARD_LUMA_TABLE
+from engine.pictures.jpeg.coded_blocks import STANDARD_LUMA_TABLE
 
 JPEG_LUMA = STANDARD_LUMA_TABLE.astype(np.float32)
 JPEG_CHROMA = np.full((8, 8), 99, dtype=np.float32)

@@ -16,7 +16,7 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import ColorChange, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG
-from engine.pictures.alignment.tone_curve import ViewerTone, find_viewer_tone
+from engine.pictures.alignment.tone_and_light import ViewerTone, find_viewer_tone
 from engine.raster import RasterSettings, View, draw, prepare_view, sh_colors
 from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_pictures import GrainView

@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.copy_evidence import copy_of_pictures
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.suspect_evidence import (
+    copy_of_pictures,
     derivation_of_model,
     derivation_of_pictures,
     derivation_of_sight,

@@ -1,4 +1,8 @@
-"""From a suspect to evidence about each chip, along the three routes: Gaussians, renders at the pose key, pictures."""
+"""From a suspect to evidence about each chip, along the three routes: Gaussians, renders at the pose key, pictures.
+
+Of the copy layer there is one reading for all copies of an asset, blind to the chips of each. The owner's layer is
+known to the reader, and taken off first: signs of one layer are fair whatever the other's are.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,12 @@ from functools import cache
 import numpy as np
 
 from engine.errors import InputError
+from engine.flows.embed.copy_mark import owner_displacements
 from engine.flows.embed.landmark_bank import bank_views
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.verify.config import CONFIG
-from engine.flows.verify.copy_evidence import copy_of_gaussians
 from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
@@ -38,15 +42,15 @@ from engine.pictures.camera.camera_motion import carried, project
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.pose_refinement import refine_level
-from engine.pictures.jpeg.block_grid import JpegGrid, find_grid
-from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
+from engine.pictures.jpeg.coded_blocks import JpegGrid, agreement, find_grid, match_exposure
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render
 from engine.registration.registration_search import Registration
 from engine.registration.visibility import only_drawn
+from engine.watermark.copy_layer import CopyLayer, grain_without_owner, without_owner
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.grain_evidence import gather_grain_evidence
-from engine.watermark.image_evidence import PictureEvidence
+from engine.watermark.image_evidence import PictureEvidence, gather_again
 from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
 from engine.watermark.picture_agreement import Together
 
@@ -54,6 +58,8 @@ __all__ = [
     "ReadPicture",
     "Seen",
     "compare_tint",
+    "copy_of_gaussians",
+    "copy_of_pictures",
     "derivation_of_model",
     "derivation_of_pictures",
     "derivation_of_sight",
@@ -523,3 +529,31 @@ def _evidence(said: PictureEvidence | None, opened: OpenedRecord) -> Evidence:
 def _nothing(opened: OpenedRecord) -> Evidence:
     zero = np.zeros(opened.layout.chips + opened.grain.chips(len(opened.reference)))
     return Evidence(zero, zero, zero)
+
+
+def copy_of_gaussians(opened: OpenedRecord, compared: Residual, grain: Evidence | None) -> Evidence | None:
+    """Of a registered model, from its differences of colors and the evidence of its grain; None where the record has
+    no copy layer."""
+    if opened.copies is None:
+        return None
+    tint, rough = owner_displacements(opened)
+    said = gather_residual(opened.copies.layout, without_owner(compared, tint.astype(np.float64)))
+    if grain is None or rough is None or not opened.copies.grain.there:
+        return said
+    return said.then(_weighed(grain_without_owner(grain, rough), opened, opened.copies))
+
+
+def _weighed(grain: Evidence, opened: OpenedRecord, copies: CopyLayer) -> Evidence:
+    """Evidence of the owner's grain as that of the copies', which is of another size."""
+    own, owners = copies.grain, opened.grain  # in one proportion, whichever of the two there is
+    times = own.center / owners.center if owners.center > 0 else own.scale / owners.scale
+    linear = None if grain.linear is None else times * grain.linear
+    return replace(grain, weights=times * grain.weights, signal=times * grain.signal, linear=linear)
+
+
+def copy_of_pictures(opened: OpenedRecord, said: Evidence) -> Evidence | None:
+    """Of pictures, from what they say of the owner's layer; None where the record has no copy layer."""
+    if opened.copies is None:
+        return None
+    tint = gather_again(opened.copies.layout, said.pulled)
+    return tint.then(said.behind(opened.layout.chips)) if opened.copies.grain.there else tint

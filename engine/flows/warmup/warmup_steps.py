@@ -28,7 +28,7 @@ from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.pose_refinement import refine_level
 from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.camera.view_search import search_views
-from engine.pictures.jpeg.block_grid import find_quality
+from engine.pictures.jpeg.coded_blocks import find_quality
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.records.reference import decode_reference, encode_reference

@@ -145,7 +145,7 @@ class DetailConfig:
 
 @dataclass(frozen=True)
 class ToneConfig:
-    """Tone curves (`tone_curve`)."""
+    """Tone curves (`tone_and_light`)."""
 
     samples: int = 60_000  # pixels from which they are fitted
     least_noise: float = 0.006  # softness of clipping without noise: rounding to 8 bits and what a fit leaves
@@ -159,7 +159,7 @@ class ToneConfig:
 
 @dataclass(frozen=True)
 class ViewerToneConfig:
-    """Tone curves that a viewer applies to every Gaussian (`tone_curve`)."""
+    """Tone curves that a viewer applies to every Gaussian (`tone_and_light`)."""
 
     side: int = 256  # longer side of the renders that tell, pixels
     solid: float = 0.95  # opacity of the reference from which a pixel counts
@@ -174,7 +174,7 @@ class ViewerToneConfig:
 
 @dataclass(frozen=True)
 class LightConfig:
-    """Uneven light (`uneven_light`)."""
+    """Uneven light (`tone_and_light`)."""
 
     uneven: float = 0.08  # share that a gain must take off the residual's median for light to be uneven
     still_uneven: float = 0.02  # once it is, less is worth another round

@@ -20,7 +20,7 @@ import numpy as np
 from engine.model import Bool, Float32
 from engine.numerics.resampling import remap, resized, smooth
 from engine.pictures.alignment.config import CONFIG
-from engine.pictures.alignment.uneven_light import predict_brightness
+from engine.pictures.alignment.tone_and_light import predict_brightness
 from engine.pictures.landmarks.keypoints import luma
 
 __all__ = ["LocalAlignment", "align_locally"]

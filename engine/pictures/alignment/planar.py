@@ -19,7 +19,7 @@ from engine.model import Bool, Float32, Float64
 from engine.numerics.resampling import map_points, smooth, warp
 from engine.pictures.alignment.brightness_fit import Fit, fit_warp, still_rms
 from engine.pictures.alignment.config import CONFIG
-from engine.pictures.alignment.uneven_light import predict_brightness
+from engine.pictures.alignment.tone_and_light import predict_brightness
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma, match_within
 
 __all__ = ["Alignment", "align_either_hand", "align_image", "align_near", "align_upright", "near_motions"]

@@ -1,6 +1,6 @@
 """What a picture says that the unmarked reference does not, weighted by how far it can be believed.
 
-1. Colour: affine change, clipping, tone curve and uneven light are fitted and taken off (`uneven_light.fit_colors`).
+1. Colour: affine change, clipping, tone curve and uneven light are fitted and taken off (`fit_colors`).
 2. Sharpness and position: the residual is regressed on gradients and Laplacians of the reference; what blur,
    resampling and a few hundredths of a pixel leave behind is explained by these.
 3. Reliability: the residual's Haar bands, brightness and chroma apart, are weighed by their variance around each
@@ -20,8 +20,7 @@ from engine.errors import InputError
 from engine.model import Bool, Float32, Float64
 from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures.alignment.config import CONFIG
-from engine.pictures.alignment.tone_curve import Toned, robust_regression
-from engine.pictures.alignment.uneven_light import fit_colors
+from engine.pictures.alignment.tone_and_light import Toned, fit_colors, robust_regression
 
 __all__ = ["image_cotangent"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import CapacityError
-from engine.flows.embed.auto_profile import Rehearsal
+from engine.flows.embed.auto_profile import Rehearsal, Rehearsing
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import whole_displacements
 from engine.flows.embed.delivery import deliver
@@ -18,7 +18,6 @@ from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig
-from engine.flows.embed.rehearsal import Rehearsing
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import LoadedModel, encode_model, read_model
