@@ -12,17 +12,8 @@ from engine.numerics.similarity import quaternion_to_rotation
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
-from engine.registration.matching import (
-    HARD,
-    Deviations,
-    Growth,
-    Matcher,
-    SizedMatcher,
-    estimate_deviations,
-    growth_in_order,
-    joint_vectors,
-    paired,
-)
+from engine.registration.match_classes import Growth, SizedMatcher, growth_in_order
+from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
 
 _CONFIG = CONFIG.confirmation
 

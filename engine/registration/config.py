@@ -76,7 +76,7 @@ class OrderConfig:
 
 @dataclass(frozen=True)
 class ClassesConfig:
-    """Errors that grow with the size of the Gaussians (`matching`)."""
+    """Errors that grow with the size of the Gaussians (`match_classes`)."""
 
     count: int = 6  # classes, of equally many suspect Gaussians each
     sample: int = 2_000  # suspect Gaussians of a class from which its errors are estimated

@@ -30,7 +30,7 @@ from engine.registration.agreement import Verdict, fit_suspect
 from engine.registration.config import CONFIG
 from engine.registration.deformed import register_deformed, unexplained
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.matching import by_size
+from engine.registration.match_classes import by_size
 from engine.registration.merged import register_merged
 from engine.registration.mixtures import Mixtures
 from engine.registration.similarity_search import BOTH, Hands, axis_rotations, in_order, locate

@@ -8,7 +8,8 @@ import pytest
 from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.matching import by_size, estimate_deviations
+from engine.registration.match_classes import by_size
+from engine.registration.matching import estimate_deviations
 from engine.registration.registration_search import RegistrationConfig, register
 from tests.registration.registration_cases import marked, merged, moved, noised, scene, shuffled
 

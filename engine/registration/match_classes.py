@@ -1,0 +1,176 @@
+"""Errors that grow with the Gaussians: noise in proportion to a Gaussian's size moves the large ones far.
+
+One error for all would be too small for the large ones and too large for the small ones. So the Gaussians are matched
+in classes of like size, each with errors of its own, learnt as the others are: from the matches, until they settle.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
+from engine.numerics.umeyama import Similarity
+from engine.registration.config import CONFIG
+from engine.registration.match_candidates import sample_rows
+from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
+
+_CONFIG = CONFIG.classes
+
+
+@dataclass(frozen=True, eq=False)
+class SizedMatcher:
+    """A reference laid out in classes of size, each for errors of its own: `edges` (K - 1,) log sizes between the
+    classes, `rows` the reference's Gaussians in each, ready to be matched by its matcher."""
+
+    edges: Float64
+    rows: tuple[Int64, ...]
+    matchers: tuple[Matcher, ...]
+
+    def pair(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> tuple[Int32, Float32]:
+        """As `Matcher.pair`; of the deviations only the colour change is used."""
+        matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
+        home = np.searchsorted(self.edges, _sizes(suspect) + np.log(fit.scale))
+        for number, (rows, matcher) in enumerate(zip(self.rows, self.matchers, strict=True)):
+            mine = np.flatnonzero(home == number)
+            found, quality[mine] = matcher.pair(suspect.take(mine), fit, deviations)
+            matches[mine] = np.where(found >= 0, rows[found], -1)
+        return matches, quality
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """By how much errors of position grow with the Gaussians: `edges` (K - 1,) log sizes between classes, `parts` (K,)
+    of its own size by which a Gaussian of each is off."""
+
+    edges: Float64
+    parts: Float64
+
+    def factors(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> Float32:
+        """(n, 3) what the usual errors of position are to be multiplied with, 1 or more."""
+        sizes = _sizes(suspect) + np.log(fit.scale)
+        own = self.parts[np.searchsorted(self.edges, sizes)] * np.exp(sizes)
+        return np.asarray(np.maximum(own[:, None] / deviations.position, 1.0).astype(np.float32))
+
+
+def growth_in_order(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, alike: Bool) -> Growth:
+    """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
+
+    Only pairs within `own_size` count: a row that looks like its partner elsewhere is another Gaussian.
+    """
+    sizes = _sizes(suspect) + np.log(fit.scale)
+    error = np.abs(fit.apply(suspect.means) - reference.means) / np.exp(sizes)[:, None]
+    near = alike & (error <= _CONFIG.own_size).all(axis=1)
+    edges = np.quantile(sizes, np.arange(1, _CONFIG.count) / _CONFIG.count)
+    home = np.searchsorted(edges, sizes)
+    parts = np.zeros(_CONFIG.count)
+    for number in range(_CONFIG.count):
+        mine = error[near & (home == number)]
+        if len(mine) >= _CONFIG.least_pairs:
+            parts[number] = float(np.quantile(mine, 0.9, axis=0).max()) / 1.645
+    return Growth(edges, parts)
+
+
+def by_size(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    fit: Similarity,
+    deviations: Deviations,
+    floor: Deviations,
+    rng: np.random.Generator,
+    *,
+    in_order: bool,
+) -> SizedMatcher | None:
+    """The reference laid out in classes of size for a suspect whose place and errors are known; None where the errors
+    do not grow with size.
+
+    `floor` are the errors below which nothing is measured; `in_order`: row for row the partners are known.
+    """
+    own, theirs = _sizes(reference), _sizes(suspect) + np.log(fit.scale)
+    edges = np.quantile(theirs, np.arange(1, _CONFIG.count) / _CONFIG.count)
+    home = np.searchsorted(edges, theirs)
+    margin = 3.0 * float(deviations.size[2])
+    rows: list[Int64] = []
+    learnt: list[Deviations] = []
+    begin, before = deviations, np.inf  # what the class of the next smaller ones came to, and their size
+    for number in range(_CONFIG.count):
+        low, high = (np.concatenate([[-np.inf], edges, [np.inf]]))[number : number + 2]
+        alike = np.flatnonzero((own >= low - margin) & (own <= high + margin))
+        # strangers may be of sizes that the reference has not
+        rows.append(alike if len(alike) >= _CONFIG.least_pairs else np.arange(len(reference)))
+        mine = np.flatnonzero(home == number)
+        sampled = mine[sample_rows(len(mine), _CONFIG.sample, rng)]
+        part = suspect.take(sampled)
+        typical = float(np.median(theirs[mine])) if len(mine) else before
+        grown = begin.position * np.exp(max(0.0, typical - before))
+        begin = replace(begin, position=np.maximum(deviations.position, grown))
+        if in_order:
+            found = _compare(reference.take(sampled), part, fit, floor)
+        else:
+            found = _learn(reference.take(rows[-1]), part, fit, begin, floor)
+        learnt.append(found or deviations)
+        begin, before = found or begin, typical
+    means = np.array([np.log(d.position).mean() for d in learnt])
+    if means.max() - means.min() < np.log(_CONFIG.growth):
+        return None
+    return SizedMatcher(
+        edges, tuple(rows), tuple(Matcher(reference.take(r), d) for r, d in zip(rows, learnt, strict=True))
+    )
+
+
+def _learn(
+    reference: GaussianModel, part: GaussianModel, fit: Similarity, start: Deviations, floor: Deviations
+) -> Deviations | None:
+    """Errors of one class; None where they are not to be learnt, or grow beyond belief."""
+    if len(reference) < _CONFIG.least_pairs or not len(part):
+        return None
+    limit = _limit(part, fit)
+    deviations = start
+    for _ in range(_CONFIG.rounds):
+        pairs = paired(Matcher(reference, deviations).match(part, fit, deviations))
+        if len(np.unique(pairs[0])) < _CONFIG.least_pairs:
+            return None
+        measured = _measure(reference, part, pairs, fit, floor)
+        if (measured.position > np.maximum(limit, start.position)).any():
+            return None
+        settled = not (measured.much_above(deviations, 1.1) or deviations.much_above(measured, 1.5))
+        deviations = measured
+        if settled:
+            break
+    return deviations
+
+
+def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, floor: Deviations) -> Deviations | None:
+    """`growth` where row for row the partners are known; what lies too far off is something else, unless most does."""
+    if not len(part):
+        return None
+    error = np.abs(fit.apply(part.means) - reference.means)
+    near = np.flatnonzero((error <= _limit(part, fit)).all(axis=1))
+    if len(near) < max(_CONFIG.least_pairs, len(part) / 2):
+        return None
+    return _measure(reference, part, (near, near), fit, floor)
+
+
+def _limit(part: GaussianModel, fit: Similarity) -> float:
+    """The largest error that is believed."""
+    return _CONFIG.own_size * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
+
+
+def _measure(
+    reference: GaussianModel,
+    part: GaussianModel,
+    pairs: tuple[npt.NDArray[Any], npt.NDArray[Any]],
+    fit: Similarity,
+    floor: Deviations,
+) -> Deviations:
+    measured = estimate_deviations(reference, part, pairs, fit, floor)
+    # Within a class, and along the axes of each, errors differ still: the larger ones count.
+    error = np.abs(fit.apply(part.means[pairs[1]]) - reference.means[pairs[0]])
+    wide = np.quantile(error, 0.9, axis=0) / 1.645  # nine in ten of a normal error are smaller
+    return replace(measured, position=np.maximum(measured.position, wide))
+
+
+def _sizes(model: GaussianModel) -> Float64:
+    """(N,) log of the largest scale."""
+    return np.asarray(model.log_scales.max(axis=1).astype(np.float64))
