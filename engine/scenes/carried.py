@@ -35,7 +35,7 @@ def _most_alike(attributes: Float32) -> npt.NDArray[np.intp]:
 
     white = attributes.astype(np.float64) / np.maximum(attributes.std(axis=0), 1e-12)
     first, second = cKDTree(white).query(white, k=2)[1].T
-    return np.where(first == np.arange(len(white)), second, first)
+    return np.asarray(np.where(first == np.arange(len(white)), second, first))
 
 
 def revealing(model: GaussianModel) -> list[str]:

@@ -14,6 +14,7 @@ from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.verify.search import verify_model
 from engine.formats import read_model
 from engine.model import SH_C0, GaussianModel
+from engine.numerics.similarity import mirror_model, quaternion_to_rotation, transform_model
 from engine.scenes.scene_files import read_scene, read_suspect
 from engine.watermark.keys import OwnerKey
 from tests.scenes import sparse_plant
@@ -54,6 +55,29 @@ def test_the_mark_is_read_where_points_are_the_centers(
     assert found.claim.verdict == "marked"
     with pytest.raises(UnsupportedFormatError, match="is a colored point cloud"):
         read_scene(tmp_path / "cloud.ply")
+
+
+def test_a_cloud_that_was_moved_and_halved_is_found(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:
+    model, opened = marked
+    rng = np.random.default_rng(3)
+    half = model.take(np.flatnonzero(rng.random(len(model)) < 0.5))
+    for moved in (half, mirror_model(half)):
+        moved = transform_model(moved, 2.5, quaternion_to_rotation([0.2, -0.4, 0.8, 0.4]), np.array([3.0, -8.0, 0.5]))
+        (tmp_path / "cloud.ply").write_bytes(cloud_of(moved))
+        found = verify_model(read_suspect(tmp_path / "cloud.ply").model, opened)
+        assert found.claim.verdict == "marked"
+
+
+def test_a_moved_cloud_of_the_unmarked_model_is_derived_and_carries_nothing(
+    tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]
+) -> None:
+    half = read_model(sparse_plant("ply")).model
+    half = half.take(np.arange(0, len(half), 2))
+    moved = transform_model(half, 0.3, quaternion_to_rotation([0.6, 0.0, 0.8, 0.0]), np.array([1.0, 1.0, 1.0]))
+    (tmp_path / "cloud.ply").write_bytes(cloud_of(moved))
+    found = verify_model(read_suspect(tmp_path / "cloud.ply").model, marked[1])
+    assert found.claim.verdict != "marked"
+    assert found.claim.derivation.derived
 
 
 def test_points_of_the_unmarked_model_carry_nothing(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:

@@ -65,7 +65,8 @@ def test_every_type_comes_back_bit_for_bit(plant: GaussianModel, order: str) -> 
 
 
 def test_comments_keep_their_bytes(plant: GaussianModel) -> None:
-    data = encode_model(with_extras(plant.take(np.arange(9))), "ply")
+    first = encode_model(with_extras(plant.take(np.arange(9))), "ply")
+    data = encode_model(read_model(first).model, "ply")  # normals stand together from now on
     assert "comment a  comment   with blanks \u00e0 la carte\n".encode() in data
     assert encode_model(read_model(data).model, "ply") == data
 

@@ -85,8 +85,8 @@ def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[Gaussia
     more = [name for name in (p.name for p in vertex.properties) if name not in _WORDS]
     if more:
         repairs = (ignored("properties", more), *repairs)
-    rows = None if model.file_rows is None else model.file_rows.rows
-    model = model.with_(carried=carried_by(header, words, more, rows))
+    used = None if model.file_rows is None else model.file_rows.rows
+    model = model.with_(carried=carried_by(header, words, more, used))
     return with_mode(model, mode_of_comments(header.comments)), repairs
 
 
