@@ -86,6 +86,23 @@ def test_points_of_the_unmarked_model_carry_nothing(tmp_path: Path, marked: tupl
     assert found.claim.verdict != "marked"
 
 
+def test_the_mark_is_read_in_the_corners_of_an_obj(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:
+    model, opened = marked
+    rgb = np.clip(0.5 + SH_C0 * model.sh[:, 0], 0, 1)
+    corners = ["v " + " ".join(f"{x:.6f}" for x in row) for row in np.hstack([model.means, rgb]).tolist()]
+    (tmp_path / "mesh.obj").write_text("\n".join(["mtllib none.mtl", *corners, "f 1 2 3", ""]))
+    loaded = read_suspect(tmp_path / "mesh.obj")
+    assert (loaded.format, len(loaded.model)) == ("points", len(model))
+    assert verify_model(loaded.model, opened).claim.verdict == "marked"
+
+
+@pytest.mark.parametrize("line", ["v 1 2 3", "v 1 2 3 x y z", "v 1 2 3 0.5 0.5"])
+def test_an_obj_without_colors_stays_refused(tmp_path: Path, line: str) -> None:
+    (tmp_path / "bare.obj").write_text(f"mtllib a.mtl\n{line}\n{line}\n")
+    with pytest.raises(UnsupportedFormatError, match="is a mesh"):
+        read_suspect(tmp_path / "bare.obj")
+
+
 def test_points_without_colors_stay_refused(tmp_path: Path) -> None:
     bare = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % a for a in b"xyz")
     (tmp_path / "bare.ply").write_bytes(bare + b"end_header\n1 2 3\n")
