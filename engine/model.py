@@ -47,6 +47,19 @@ class FileRows:
 
 
 @dataclass(frozen=True, eq=False)
+class Carried:
+    """What a PLY holds besides its Gaussians, and gets back: nothing here looks at it."""
+
+    columns: npt.NDArray[np.void]  # (N,) a record a Gaussian, of properties under their names
+    comments: tuple[str, ...] = ()  # one character a byte, whatever the encoding
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the properties, in the order of the file."""
+        return self.columns.dtype.names or ()
+
+
+@dataclass(frozen=True, eq=False)
 class GaussianModel:
     """N Gaussians as INRIA stores them (raw activations), one C-contiguous float32 array per attribute."""
 
@@ -63,6 +76,7 @@ class GaussianModel:
     # What was taken from the centers on reading, scene units: what float32 cannot hold, of scenes in map coordinates
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     file_rows: FileRows | None = None  # None: each Gaussian is the row of its own number
+    carried: Carried | None = None
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -112,12 +126,13 @@ class GaussianModel:
         """The Gaussians at an integer index or under a boolean mask, in that order."""
         whole = self.file_rows
         kept = None if whole is None else FileRows(whole.rows[index], whole.count)
-        return replace(self, file_rows=kept, **{name: getattr(self, name)[index] for name in ATTRIBUTES})
+        more = None if self.carried is None else Carried(self.carried.columns[index], self.carried.comments)
+        return replace(self, file_rows=kept, carried=more, **{name: getattr(self, name)[index] for name in ATTRIBUTES})
 
     def with_(self, **arrays: Any) -> GaussianModel:
         """A copy with some attributes replaced."""
         if len(arrays.get("means", self.means)) != len(self):
-            arrays = {"file_rows": None, **arrays}
+            arrays = {"file_rows": None, "carried": None, **arrays}
         return replace(self, **arrays)
 
     def row_of(self, index: int) -> int:

@@ -24,7 +24,7 @@ from engine.cli import (
     trace,
     verify,
 )
-from engine.cli.console import Console
+from engine.cli.console import DATA_ON_STDOUT, Console
 from engine.errors import InputError
 from engine.kernels.allocation import keep_freed_memory
 
@@ -89,6 +89,7 @@ def run(arguments: list[str]) -> int:
     Every error ends here, as one line or one JSON object.
     """
     console = Console(machine="--json" in arguments)
+    DATA_ON_STDOUT.set(False)
     try:
         if not CORE.intersection(arguments[:1]):
             _add_extra_commands()

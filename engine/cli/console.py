@@ -1,4 +1,5 @@
-"""Output of the commands: results on stdout, the rest on stderr; for machines JSON instead of both."""
+"""Output of the commands: results on stdout, the rest on stderr; for machines JSON instead of both. What cannot be
+encoded there, such as a file's name that is no UTF-8, is escaped."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, TextIO
 
 from engine.numerics.plain import plain
 
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[str, float], None]
+
+DATA_ON_STDOUT: ContextVar[bool] = ContextVar("DATA_ON_STDOUT", default=False)
+"""Whether stdout is a file that is written: then results for people and machines go to stderr."""
 
 LONG_STAGE_SECONDS = 2.0
 """Where stderr is no terminal, a stage that took longer leaves a line."""
@@ -56,20 +61,17 @@ class Console:
     def say(self, text: str = "") -> None:
         """A line of the result, on stdout."""
         if not self.machine:
-            sys.stdout.write(text + "\n")
-            sys.stdout.flush()
+            _write(_results(), text)
 
     def note(self, text: str) -> None:
         """A line on stderr, no part of the result."""
         if not self.machine:
-            sys.stderr.write(text + "\n")
-            sys.stderr.flush()
+            _write(sys.stderr, text)
 
     def emit(self, report: Mapping[str, Any]) -> None:
         """The one JSON object on stdout."""
         if self.machine:
-            sys.stdout.write(json.dumps(plain(report), allow_nan=False, indent=1) + "\n")
-            sys.stdout.flush()
+            _write(_results(), json.dumps(plain(report), allow_nan=False, indent=1))
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
@@ -104,6 +106,16 @@ class Console:
 
         yield callback
         close()
+
+
+def _results() -> TextIO:
+    return sys.stderr if DATA_ON_STDOUT.get() else sys.stdout
+
+
+def _write(stream: TextIO, text: str) -> None:
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    stream.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+    stream.flush()
 
 
 @contextmanager

@@ -11,12 +11,15 @@ import typer
 
 from engine.cli.console import Console, Progress
 from engine.cli.models import format_for, say_repairs
-from engine.cli.options import Json, SpzFrame
+from engine.cli.options import From, Json, SpzFrame
+from engine.cli.streams import STREAM, check_kind, check_stdout, input_file, input_name, write_stdout
 from engine.errors import InputError
 from engine.usecases.files import check_folder, check_target, refuse_same, whole_file, whole_folder
 
 if TYPE_CHECKING:
+    from engine.formats.gltf.metadata import Metadata
     from engine.model import GaussianModel
+    from engine.scenes.scene_files import Scene
 
 STREAMED = "lod-meta.json"
 KEPT = 0.25
@@ -24,13 +27,18 @@ KEPT = 0.25
 
 
 def convert(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here.")],
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here; -: stdin.")],
     out: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help="File to write; its ending names the format. NEW_FOLDER/lod-meta.json: streamed SOG."
+            metavar="OUT",
+            help="File to write; its ending names the format. NEW_FOLDER/lod-meta.json: streamed SOG. -: stdout.",
         ),
     ],
+    given: From = None,
+    to: Annotated[
+        str | None, typer.Option("--to", metavar="FORMAT", help="Format to write, where the name does not say it.")
+    ] = None,
     levels: Annotated[
         int, typer.Option("--levels", metavar="N", min=1, max=8, help="Levels of detail of streamed SOG.")
     ] = 1,
@@ -49,36 +57,41 @@ def convert(
     from the one before it, as publishing tools do, to a quarter of its
     Gaussians. A clip that moves stays a clip: only .ply holds it. What a .glb
     says of rights and provenance is a statement, which 'mark3dgs inspect' shows.
+    Properties and comments of a .ply that are no Gaussian's stay in a .ply.
 
     Examples:
 
       mark3dgs convert scene.ksplat scene.ply
       mark3dgs convert scene.ply scene.glb --rights "(c) 2026 Studio Acme"
       mark3dgs convert scene.ply published/lod-meta.json --levels 3
+      curl -s https://example.org/scene.spz | mark3dgs convert - - --to ply > scene.ply
     """
     console = Console(json)
     began = time.perf_counter()
     streamed = out.name == STREAMED
     if levels > 1 and not streamed:
         raise InputError(f"levels of detail are those of streamed SOG: name the output {STREAMED}, in a new folder")
-    kind = STREAMED if streamed else format_for(out)
-    from engine.formats.gltf.metadata import Metadata, annotate_glb
+    kind = STREAMED if streamed else _format_to_write(out, to)
+    from engine.formats.gltf.metadata import Metadata
 
     metadata = Metadata(rights, provenance)
     if metadata and kind != "glb":
         raise InputError(f"rights and provenance are stated in a .glb, not in {str(out)!r}")
     if streamed:
         check_folder(out.parent)
+    elif out == STREAM:
+        check_stdout()
     else:
         refuse_same(model, out)
         check_target(out)
 
     from engine.scenes.codebook_model import CodebookModel
-    from engine.scenes.scene_files import notes_of, read_scene, write_scene, written_as
+    from engine.scenes.scene_files import notes_of, read_scene, written_as
 
-    with console.progress() as progress:
+    with console.progress() as progress, input_file(model) as file:
         progress("read", 0.0)
-        loaded = read_scene(model, spz_frame=spz_frame)
+        loaded = read_scene(file, name=input_name(model, given), spz_frame=spz_frame)
+        check_kind(loaded.format, given, model)
         scene = loaded.scene
         if isinstance(scene, CodebookModel):
             scene = loaded.model  # every index looked up: nothing is lost but the file's size
@@ -88,13 +101,7 @@ def convert(
         if streamed:
             counts, bytes_out = _write_streamed(loaded.model, out.parent, levels, progress)
         else:
-            with whole_file(out) as part:
-                bytes_out = write_scene(scene, part, kind)
-                if metadata:
-                    pieces = annotate_glb(part.read_bytes(), metadata)
-                    part.write_bytes(b"".join(pieces))
-                    bytes_out = sum(map(len, pieces))
-            counts = [len(scene)]
+            counts, bytes_out = [len(scene)], _write(scene, out, kind, metadata)
     notes = notes_of(scene, kind)
     report = {
         "out": str(out),
@@ -117,6 +124,31 @@ def convert(
         console.say(f"  note: {note}")
     console.emit(report)
     return 0
+
+
+def _format_to_write(out: Path, to: str | None) -> str:
+    if to is not None:
+        return format_for(Path(f"out.{to}"))
+    if out == STREAM:
+        raise InputError("standard output has no ending: name the format with --to")
+    return format_for(out)
+
+
+def _write(scene: Scene, out: Path, kind: str, metadata: Metadata) -> int:
+    """Write one file, or to standard output; returns its bytes."""
+    from engine.formats.gltf.metadata import annotate_glb
+    from engine.scenes.scene_files import encode_scene, write_scene
+
+    if not metadata and out != STREAM:
+        with whole_file(out) as part:
+            return write_scene(scene, part, kind)
+    data = encode_scene(scene, kind)
+    if metadata:
+        data = b"".join(annotate_glb(data, metadata))
+    if out == STREAM:
+        return write_stdout(data)
+    with whole_file(out) as part:
+        return part.write_bytes(data)
 
 
 def _write_streamed(model: GaussianModel, folder: Path, levels: int, progress: Progress) -> tuple[list[int], int]:

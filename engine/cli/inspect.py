@@ -11,7 +11,8 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.embed import size
-from engine.cli.options import Json, SpzFrame
+from engine.cli.options import From, Json, SpzFrame
+from engine.cli.streams import check_kind, input_file, input_name
 from engine.cli.trust_options import read_certificates
 from engine.numerics.plain import Json as Values
 from engine.present.numerals import number
@@ -37,7 +38,8 @@ HOLDS = {
 
 
 def inspect(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here.")],
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here; -: stdin.")],
+    given: From = None,
     spz_frame: SpzFrame = "auto",
     trust: Annotated[
         Path | None, typer.Option("--trust", metavar="PEM", help="Certificates whose signers of credentials you trust.")
@@ -61,12 +63,13 @@ def inspect(
     from engine.formats.gltf.metadata import read_metadata
     from engine.scenes.scene_files import read_scene
 
-    with console.progress() as progress:
+    with console.progress() as progress, input_file(model) as file:
         progress("read", 0.0)
-        loaded = read_scene(model, spz_frame=spz_frame)
-    credentials = read_credentials(model, loaded.format, anchors)
-    is_gltf = loaded.format == "glb" and model.is_file()
-    metadata = read_metadata(model.read_bytes(), file=str(model)) if is_gltf else None
+        loaded = read_scene(file, name=input_name(model, given), spz_frame=spz_frame)
+        check_kind(loaded.format, given, model)
+        credentials = read_credentials(file, loaded.format, anchors)
+        is_gltf = loaded.format == "glb" and file.is_file()
+        metadata = read_metadata(file.read_bytes(), file=str(model)) if is_gltf else None
     report = describe_model(loaded) | {
         "file": str(model),
         "metadata": None if metadata is None else asdict(metadata),

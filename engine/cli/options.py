@@ -14,6 +14,10 @@ SpzFrame = Annotated[
     typer.Option("--spz-frame", help="Axes of .spz input: auto, spec (as specified) or ply (as many tools write it)."),
 ]
 
+From = Annotated[
+    str | None,
+    typer.Option("--from", metavar="FORMAT", help="Format of the input, as a file's ending: checked, else refused."),
+]
 
 Knobs = Annotated[
     list[str] | None,

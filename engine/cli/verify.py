@@ -15,7 +15,8 @@ from engine.cli.console import Console, claim_lines
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
-from engine.cli.options import Json, Key, SpzFrame
+from engine.cli.options import From, Json, Key, SpzFrame
+from engine.cli.streams import check_kind, input_file, input_name
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
 from engine.present.numerals import number
@@ -36,8 +37,12 @@ if TYPE_CHECKING:
 
 
 def verify(
+    context: typer.Context,
     suspects: Annotated[
-        list[Path], typer.Argument(metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model.")
+        list[Path],
+        typer.Argument(
+            metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model; -: one, from stdin."
+        ),
     ],
     record: Annotated[Path, typer.Option("--record", help="Record of the embedding.")],
     key: Key,
@@ -98,6 +103,7 @@ def verify(
             help="Time after which no further search step begins; of pictures, for each.",
         ),
     ] = 60.0,
+    given: From = None,
     spz_frame: SpzFrame = "auto",
     json: Json = False,
 ) -> int:
@@ -121,7 +127,8 @@ def verify(
     """
     console = Console(json)
     began = time.perf_counter()
-    source = SuspectFiles.sort_out(suspects, cameras, spz_frame)
+    files = {context.with_resource(input_file(path)): path for path in suspects}
+    source = SuspectFiles.sort_out(list(files), cameras, spz_frame, input_name(suspects[0], given))
     if regions is not None:
         check_folder(regions)
         if original is not None:
@@ -156,6 +163,7 @@ def verify(
 
         def prepare(read: ReadSuspect) -> None:
             nonlocal compiling
+            check_kind(read.format, given, suspects[0])
             say_repairs(console, read.repairs)
             kept.open()  # a wrong key is known before kernels are compiled
             compiling = prepare_kernels(console, progress, "pictures" if source.pictures else "model")
@@ -176,7 +184,7 @@ def verify(
         report["notes"] += [WITHOUT_ORIGINAL]
     report["notes"] += kept.result()[1]
     report |= {
-        "suspects": [str(path) for path in source.paths],
+        "suspects": [str(files.get(path, path)) for path in source.paths],
         "repairs": [asdict(repair) for repair in answer.read.repairs],
         "seconds": time.perf_counter() - began,
         "seconds_by_stage": answer.seconds_by_stage | {"compile": compiling},

@@ -14,10 +14,11 @@ from engine.errors import InputError, UnsupportedFormatError
 from engine.formats.kinds import FORMATS, KINDS, kind_of
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.ply.compressed import rounded_positions
+from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING
 from engine.formats.spz.attributes import choose_fractional_bits
 from engine.formats.strays import unheld_rows
-from engine.model import SH_C0, Bool, Float32, Float64, GaussianModel
+from engine.model import SH_C0, Bool, Carried, Float32, Float64, GaussianModel
 
 _SAY_NOTHING = ("splat", "spz", "glb", "usda", "usdc", "usdz")
 """Formats that cannot declare discs; all but SPZ, which has a bit, cannot declare antialiasing either."""
@@ -49,6 +50,8 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
             " far too heavily unless set to it; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
+    if model.carried is not None and format != "ply":
+        notes += _dropped(model.carried, format)
     if any(model.origin) and format != "ply":
         x, y, z = model.origin
         notes.append(
@@ -66,6 +69,19 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             f" .{format} rounds all others away where it holds them; .ply, .splat and .glb hold both"
         )
     return notes
+
+
+def _dropped(carried: Carried, format: str) -> list[str]:
+    parts = [
+        f"{len(names)} {noun if len(names) == 1 else plural}{there}"
+        for noun, plural, names, there in (
+            ("property", "properties", carried.names, f" ({named(carried.names)})"),
+            ("comment", "comments", () if format == "compressed.ply" else carried.comments, ""),
+        )
+        if names
+    ]
+    found = " and ".join(parts)
+    return [f".{format} has no place for what is no Gaussian's: {found} dropped; .ply keeps it"] if found else []
 
 
 def _coarse(model: GaussianModel) -> float:
@@ -94,7 +110,7 @@ def write_whole(path: str | os.PathLike[str], pieces: Iterable[bytes]) -> int:
         target = Path(os.path.realpath(path))
         if target.exists() and not target.is_file():
             raise InputError(f"{path}: is no regular file")
-        part = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
+        part = target.with_name(f".{target.name[:40]}.{secrets.token_hex(6)}.part")
         try:
             with open(part, "xb") as file:
                 written = sum(file.write(piece) for piece in pieces)

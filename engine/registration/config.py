@@ -227,6 +227,19 @@ class VisibilityConfig:
 
 
 @dataclass(frozen=True)
+class PointsConfig:
+    """Clouds of colored points (`colored_points`)."""
+
+    steps: int = 4  # classes of each channel: 64 cells, of which few hold much of a scene
+    least: int = 24  # points of a class, and pairs from which a similarity is refined
+    sample: int = 6000  # points that are paired with the reference's
+    first: float = 0.3  # of the model's reach, within which the first pairs lie; each round's are narrower
+    narrower: float = 0.7
+    rounds: int = 16  # the last pairs lie within 0.0014 of the reach
+    color_weight: float = 8.0  # of the width: by how much a whole step from black to white counts as apart
+
+
+@dataclass(frozen=True)
 class RegistrationConstants:
     """The registration itself (`registration_search`), and its stages."""
 
@@ -249,6 +262,7 @@ class RegistrationConstants:
     coarse: CoarseConfig = CoarseConfig()
     sketch: SketchConfig = SketchConfig()
     visibility: VisibilityConfig = VisibilityConfig()
+    points: PointsConfig = PointsConfig()
 
 
 CONFIG = RegistrationConstants()

@@ -17,6 +17,7 @@ from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quate
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import Verdict, confirm_similarity, fit_suspect, same_order
+from engine.registration.colored_points import are_points, place_points
 from engine.registration.config import CONFIG, Agreement
 from engine.registration.hypotheses import Hypothesis, propose
 from engine.registration.looks_index import ReferenceIndex
@@ -72,6 +73,9 @@ def locate(
             return verdict, tried
     verdict, count = _same_frame(index, hands, hands_searched, rng)
     tried += count
+    if verdict is None and are_points(hands.suspect):
+        verdict, count = _by_points(index, hands, hands_searched, rng)
+        tried += count
     if verdict is None:
         verdict, count = _search(index, hands, hands_searched, rng, colorless, budget)
         tried += count
@@ -132,6 +136,18 @@ def _same_frame(
         return None, len(hits)
     fit = Similarity(1.0, quarter[best % len(quarter)], np.zeros(3))
     return _confirm(index, hands, hands_searched[best // len(quarter)], fit, None, rng), len(hits)
+
+
+def _by_points(
+    index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
+) -> tuple[Verdict | None, int]:
+    """Step 3 for a cloud of colored points, which have no looks of their own."""
+    for tried, mirrored in enumerate(hands_searched, start=1):
+        placed = place_points(index.model, hands.suspect, mirrored, rng)
+        verdict = None if placed is None else _confirm(index, hands, mirrored, *placed, rng)
+        if verdict is not None:
+            return verdict, tried
+    return None, len(hands_searched)
 
 
 def _search(

@@ -19,7 +19,8 @@ JPEG_QUALITY = 95
 
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
 
-_PART_ENDING = ".part"
+_KEPT_NAME = 40
+"""Characters of a target's name in its part's: a name of 255 bytes has room for no more than itself."""
 
 
 @contextmanager
@@ -29,7 +30,7 @@ def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
     InputError if the folder does not exist, or the target does and is not to be overwritten.
     """
     check_target(target, overwrite=overwrite)
-    part = target.with_name(f".{target.name}.{secrets.token_hex(6)}{_PART_ENDING}")
+    part = _part_of(target)
     try:
         yield part
         if overwrite:
@@ -62,7 +63,7 @@ def whole_folder(target: Path) -> Iterator[Path]:
     InputError as `check_folder`.
     """
     check_folder(target)
-    part = target.with_name(f".{target.name}.{secrets.token_hex(6)}{_PART_ENDING}")
+    part = _part_of(target)
     part.mkdir()
     try:
         yield part
@@ -71,10 +72,23 @@ def whole_folder(target: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
+def _part_of(target: Path) -> Path:
+    return target.with_name(f".{target.name[:_KEPT_NAME]}.{secrets.token_hex(6)}.part")
+
+
+def _check_parent(target: Path) -> None:
+    folder = target.parent
+    if not folder.is_dir():
+        raise InputError(f"cannot write {str(target)!r}: there is no folder {str(folder)!r}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write {str(target)!r}: this user may not write in the folder {str(folder)!r}")
+
+
 def check_folder(target: Path) -> None:
     """Refuse a folder to write that cannot be made, or that has something in it."""
-    if not target.name or not target.parent.is_dir():
-        raise InputError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
+    if not target.name:
+        raise InputError(f"{str(target)!r} is no name of a folder")
+    _check_parent(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{str(target)!r} exists: give the name of a new folder")
 
@@ -93,10 +107,11 @@ def check_target(target: Path, *, overwrite: bool = True) -> None:
     """Refuse a target that cannot be written, before any work is done for it."""
     if not target.name:
         raise InputError(f"{str(target)!r} is no file name")
-    if not target.parent.is_dir():
-        raise InputError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
+    _check_parent(target)
     if target.is_dir():
         raise InputError(f"cannot write {str(target)!r}: it is a folder")
+    if target.exists() and not target.is_file():
+        raise InputError(f"cannot write {str(target)!r}: it is a device or a pipe")
     if not overwrite and target.exists():
         raise _exists(target)
 

@@ -118,6 +118,8 @@ def mark(
     """
     began = time.perf_counter()
     request.check_files()
+    from engine.model import GaussianModel
+    from engine.scenes.carried import left_out_note, without
     from engine.scenes.scene_files import notes_of, output_of, read_scene, write_scene, written_as
 
     reading = Ahead(read_scene, request.model, name=request.name, spz_frame=request.spz_frame)
@@ -130,9 +132,11 @@ def mark(
     stages = {"read": time.perf_counter() - began}
     if prepare is not None:
         prepare(loaded)
+    revealed = _revealed(loaded, kind)
     terms = replace(request.terms, config=delivered_as(request.terms.config, kind))
     marks = embed_scene(loaded, request.key, list(request.outputs), terms, progress)
-    for (scene, made), output in zip(marks, request.outputs.values(), strict=True):
+    for (marked, made), output in zip(marks, request.outputs.values(), strict=True):
+        scene = without(marked, revealed) if isinstance(marked, GaussianModel) else marked
         started = time.perf_counter()
         progress("write", 0.0)
         sealed = made.record.to_bytes(request.key)
@@ -153,12 +157,20 @@ def mark(
             profile=request.profile,
             repairs=loaded.repairs,
             psnr_as_written=as_written,
-            notes=notes_of(scene, kind),
+            notes=[*notes_of(scene, kind), *left_out_note(revealed)],
             seconds=ended - began,
             seconds_by_stage=stages | made.report.seconds_by_stage | {"write": ended - started},
         )
         yield MarkAnswer(output, scene, made, loaded, report)
         began, stages = time.perf_counter(), {}
+
+
+def _revealed(loaded: Loaded, kind: str) -> list[str]:
+    """What a file of the marked model must not carry from the original's."""
+    from engine.model import GaussianModel
+    from engine.scenes.carried import revealing
+
+    return revealing(loaded.scene) if kind == "ply" and isinstance(loaded.scene, GaussianModel) else []
 
 
 def _psnr_as_written(scene: Scene, made: Embedding, kind: str, file: Path) -> float:

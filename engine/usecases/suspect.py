@@ -40,9 +40,12 @@ class SuspectFiles:
     pictures: bool  # whether they are pictures
     cameras: Path | None = None  # of the pictures, in their order; found by search if left out
     spz_frame: str = "auto"  # axes of .spz input: "auto", "spec" or "ply"
+    name: str | None = None  # what errors call a model; default: its path
 
     @classmethod
-    def sort_out(cls, paths: Sequence[Path], cameras: Path | None = None, spz_frame: str = "auto") -> SuspectFiles:
+    def sort_out(
+        cls, paths: Sequence[Path], cameras: Path | None = None, spz_frame: str = "auto", name: str | None = None
+    ) -> SuspectFiles:
         """The files that paths name: in the place of a folder of pictures alone, such as a video's frames, these in
         order of name. Each file is opened once to see what it is."""
         from engine.formats.image_files import is_picture
@@ -61,7 +64,7 @@ class SuspectFiles:
             raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path, _ in found)}")
         if cameras is not None and not any(pictures):
             raise InputError("--cameras is only allowed with pictures")
-        return cls(tuple(path for path, _ in found), any(pictures), cameras, spz_frame)
+        return cls(tuple(path for path, _ in found), any(pictures), cameras, spz_frame, name)
 
     def read(self) -> ReadSuspect:
         """The model, or the pictures and their cameras."""
@@ -76,7 +79,7 @@ class SuspectFiles:
             return ReadSuspect(Suspect(None, seen, known))
         from engine.scenes.scene_files import read_suspect
 
-        loaded = read_suspect(self.paths[0], spz_frame=self.spz_frame)
+        loaded = read_suspect(self.paths[0], name=self.name, spz_frame=self.spz_frame)
         from engine.flows.verify.search import Suspect  # after the file: to import it takes as long as to read it
 
         return ReadSuspect(Suspect(loaded.model), loaded.format, loaded.repairs)

@@ -55,6 +55,15 @@ def test_the_image_is_small(image: str) -> None:
     assert int(run("docker", "image", "inspect", "--format", "{{.Size}}", image)) <= MOST_BYTES
 
 
+def test_any_user_may_run_a_command_on_its_own_files(image: str, plant: bytes, tmp_path: Path) -> None:
+    tmp_path.chmod(0o777)
+    (tmp_path / "plant.splat").write_bytes(plant)
+    mine = ("--user", "12345:12345", "--volume", f"{tmp_path}:/mine", "--workdir", "/mine")
+    run("docker", "run", "--rm", *mine, image, "convert", "plant.splat", "plant.ply")
+    made = tmp_path / "plant.ply"
+    assert (made.stat().st_uid, made.read_bytes()[:4]) == (12345, b"ply\n")
+
+
 def test_the_container_has_no_rights(container: str) -> None:
     status = run("docker", "exec", container, "cat", "/proc/self/status")
     fields = dict(line.split(":\t", 1) for line in status.splitlines())

@@ -14,6 +14,7 @@ from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.verify.search import verify_model
 from engine.formats import read_model
 from engine.model import SH_C0, GaussianModel
+from engine.numerics.similarity import mirror_model, quaternion_to_rotation, transform_model
 from engine.scenes.scene_files import read_scene, read_suspect
 from engine.watermark.keys import OwnerKey
 from tests.scenes import sparse_plant
@@ -56,10 +57,50 @@ def test_the_mark_is_read_where_points_are_the_centers(
         read_scene(tmp_path / "cloud.ply")
 
 
+def test_a_cloud_that_was_moved_and_halved_is_found(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:
+    model, opened = marked
+    rng = np.random.default_rng(3)
+    half = model.take(np.flatnonzero(rng.random(len(model)) < 0.5))
+    for moved in (half, mirror_model(half)):
+        moved = transform_model(moved, 2.5, quaternion_to_rotation([0.2, -0.4, 0.8, 0.4]), np.array([3.0, -8.0, 0.5]))
+        (tmp_path / "cloud.ply").write_bytes(cloud_of(moved))
+        found = verify_model(read_suspect(tmp_path / "cloud.ply").model, opened)
+        assert found.claim.verdict == "marked"
+
+
+def test_a_moved_cloud_of_the_unmarked_model_is_derived_and_carries_nothing(
+    tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]
+) -> None:
+    half = read_model(sparse_plant("ply")).model
+    half = half.take(np.arange(0, len(half), 2))
+    moved = transform_model(half, 0.3, quaternion_to_rotation([0.6, 0.0, 0.8, 0.0]), np.array([1.0, 1.0, 1.0]))
+    (tmp_path / "cloud.ply").write_bytes(cloud_of(moved))
+    found = verify_model(read_suspect(tmp_path / "cloud.ply").model, marked[1])
+    assert found.claim.verdict != "marked"
+    assert found.claim.derivation.derived
+
+
 def test_points_of_the_unmarked_model_carry_nothing(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:
     (tmp_path / "cloud.ply").write_bytes(cloud_of(read_model(sparse_plant("ply")).model))
     found = verify_model(read_suspect(tmp_path / "cloud.ply").model, marked[1])
     assert found.claim.verdict != "marked"
+
+
+def test_the_mark_is_read_in_the_corners_of_an_obj(tmp_path: Path, marked: tuple[GaussianModel, OpenedRecord]) -> None:
+    model, opened = marked
+    rgb = np.clip(0.5 + SH_C0 * model.sh[:, 0], 0, 1)
+    corners = ["v " + " ".join(f"{x:.6f}" for x in row) for row in np.hstack([model.means, rgb]).tolist()]
+    (tmp_path / "mesh.obj").write_text("\n".join(["mtllib none.mtl", *corners, "f 1 2 3", ""]))
+    loaded = read_suspect(tmp_path / "mesh.obj")
+    assert (loaded.format, len(loaded.model)) == ("points", len(model))
+    assert verify_model(loaded.model, opened).claim.verdict == "marked"
+
+
+@pytest.mark.parametrize("line", ["v 1 2 3", "v 1 2 3 x y z", "v 1 2 3 0.5 0.5"])
+def test_an_obj_without_colors_stays_refused(tmp_path: Path, line: str) -> None:
+    (tmp_path / "bare.obj").write_text(f"mtllib a.mtl\n{line}\n{line}\n")
+    with pytest.raises(UnsupportedFormatError, match="is a mesh"):
+        read_suspect(tmp_path / "bare.obj")
 
 
 def test_points_without_colors_stay_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from engine.errors import FormatError
 from engine.formats.modes import comment_of, mode_of_comments, with_mode
 from engine.formats.morton import morton_order
 from engine.formats.ply.body import read_tables
+from engine.formats.ply.extras import carried_by, ignored, lines_of
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.model import SH_C0, Float32, GaussianModel
@@ -80,8 +81,12 @@ def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[Gaussia
         repairs = (degree_dropped(4, count), *repairs)
     others = [e.name for e in header.elements if e.name not in kept]
     if others:
-        text = f"elements that no Gaussian has were ignored: {', '.join(others[:5])}"
-        repairs = (Repair("extra_elements", len(others), text), *repairs)
+        repairs = (ignored("elements", others), *repairs)
+    more = [name for name in (p.name for p in vertex.properties) if name not in _WORDS]
+    if more:
+        repairs = (ignored("properties", more), *repairs)
+    used = None if model.file_rows is None else model.file_rows.rows
+    model = model.with_(carried=carried_by(header, words, more, used))
     return with_mode(model, mode_of_comments(header.comments)), repairs
 
 
@@ -92,7 +97,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     / 2047 (y: 1023), 1/255 in color and opacity; a coefficient within +-4 is off by up to 1/32, one beyond is clipped.
     """
     order = morton_order(model.means)
-    rest, comment = _quantize_rest(model.sh, order), comment_of(model)
+    rest, comment = _quantize_rest(model.sh, order), [*comment_of(model), *lines_of(model.carried)[0]]
     model = model.with_(sh=model.sh[:, :1]).take(order)
     count, chunks = len(model), -(-len(model) // CHUNK)
     colors = 0.5 + SH_C0 * model.sh[:, 0].astype(np.float64)
@@ -114,7 +119,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     lines += [f"element vertex {count}", *(f"property uint {word}" for word in _WORDS)]
     if rest.shape[1]:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
-    header = ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
+    header = ("\n".join([*lines, "end_header"]) + "\n").encode("latin-1")
     return b"".join([header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), rest.tobytes()])
 
 

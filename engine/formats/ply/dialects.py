@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.ply.extras import named
-from engine.formats.ply.header import Element, Header, Property
+from engine.formats.ply.header import TYPE_NAMES, Element, Header, Property
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
@@ -18,7 +18,6 @@ __all__ = ["COLORS", "DC", "activation_hints", "dc_of_colors", "georeferenced", 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
-_CODE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"}
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
 _LEAST_HALF = 2.0**-10
 """Whole numbers below 5,120 are half floats below this: a column of them has no larger value."""
@@ -86,10 +85,10 @@ def plain_types(
         if set(whole) <= set("xyz") and _in_whole_units(records):
             odd = whole[0]
         if odd is None:
-            kinds = {_CODE_NAMES[fields[name].str[1:]] for name in whole}
+            kinds = {TYPE_NAMES[fields[name].str[1:]] for name in whole}
             text = f"{len(whole)} properties of type {named(sorted(kinds))} were read as the half floats that they hold"
             return viewed, [Repair("half_floats", len(whole), text)]
-    kind = _CODE_NAMES[fields[odd].str[1:]]
+    kind = TYPE_NAMES[fields[odd].str[1:]]
     message = f"is {kind}, and its values are no half floats either: a whole number cannot be one; export it as float"
     raise FormatError(message, file=file, element="vertex", prop=odd)
 

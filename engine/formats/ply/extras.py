@@ -12,14 +12,28 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import UnsupportedFormatError
-from engine.formats.ply.header import Element, Header
+from engine.formats.modes import mode_of_comments
+from engine.formats.ply.header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header
 from engine.formats.repairs import Repair
-from engine.model import Float32
+from engine.model import Carried, Float32
 
-__all__ = ["FILTER", "fuse_filter", "ignored", "is_motion", "named", "refuse_codebooks", "refuse_motion"]
+__all__ = [
+    "FILTER",
+    "carried_by",
+    "fuse_filter",
+    "ignored",
+    "is_motion",
+    "lines_of",
+    "named",
+    "refuse_codebooks",
+    "refuse_motion",
+]
 
 FILTER = "filter_3D"
 """Deviation of Mip-Splatting's 3D smoothing filter, scene units."""
+
+_HEADER_ROOM = 4096
+"""Bytes by which the header that is written may be longer than the one that was read."""
 
 _MOTION = re.compile(
     r"(trbf|motion|omega|velocity|vel|delta|rot_l|rot_r|rotation_r)_\w+|f_t_\d+"
@@ -68,6 +82,32 @@ def named(names: Iterable[str]) -> str:
     return ", ".join(repr(name[:40]) for name in listed[:8]) + (", ..." if len(listed) > 8 else "")
 
 
+def carried_by(
+    header: Header, records: npt.NDArray[np.void], names: list[str], rows: npt.NDArray[np.int64] | None
+) -> Carried | None:
+    """These properties of the rows of a file that are Gaussians, all where `rows` is None, and its comments; None where
+    there is neither."""
+    comments = tuple(each for each in header.comments if mode_of_comments([each]) is None)
+    if not (names or comments) or header.size > MAX_HEADER_BYTES - _HEADER_ROOM:
+        return None
+    kinds = [(name, records.dtype[name].newbyteorder("<")) for name in names]
+    count = len(records) if rows is None else len(rows)
+    columns = np.empty(count, kinds)
+    for name in names:
+        columns[name] = records[name] if rows is None else records[name][rows]
+    return Carried(columns, comments)
+
+
+def lines_of(carried: Carried | None) -> tuple[list[str], list[str]]:
+    """Lines of a header: the comments, and the properties."""
+    if carried is None:
+        return [], []
+    kinds = carried.columns.dtype
+    properties = [f"property {TYPE_NAMES[kinds[name].str[1:]]} {name}" for name in carried.names]
+    return [f"comment {text}" for text in carried.comments], properties
+
+
 def ignored(what: str, names: list[str]) -> Repair:
-    """The note on properties or elements that no Gaussian has."""
-    return Repair(f"extra_{what}", len(names), f"{what} that no Gaussian has were ignored: {named(names)}")
+    """The note on properties, which a PLY keeps, or elements that no Gaussian has."""
+    done = "are kept in .ply alone" if what == "properties" else "were ignored"
+    return Repair(f"extra_{what}", len(names), f"{what} that no Gaussian has {done}: {named(names)}")

@@ -13,7 +13,15 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with_mode
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, georeferenced, plain_names, plain_types
-from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codebooks, refuse_motion
+from engine.formats.ply.extras import (
+    FILTER,
+    carried_by,
+    fuse_filter,
+    ignored,
+    lines_of,
+    refuse_codebooks,
+    refuse_motion,
+)
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
 from engine.kernels.jit import kernel, parallel_kernel, share_of
@@ -38,9 +46,11 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     move or lie in codebooks.
     """
     header, renamed = plain_names(parse_header(data, file=file))
-    vertex, used, repairs = _check_vertex(header, file)
-    repairs = [*renamed, *repairs]
+    vertex, used, more, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    repairs = [*renamed, *([ignored("properties", more)] if more else []), *repairs]
+    if any(records[name].any() for name in _NORMALS if name in vertex.names):
+        more = [p.name for p in vertex.properties if p.name in (*more, *_NORMALS)]
     colored = any(repair.code == "colors_read" for repair in renamed)
     records, typed = plain_types(records, [name for name in used if not (colored and name in DC)], file=file)
     repairs += typed
@@ -67,14 +77,17 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     origin, moved = georeferenced(records, arrays["means"], arrays["log_scales"])
     repairs += [*moved, *activation_hints(arrays["log_scales"], logits)]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
-    return with_mode(model.with_(origin=origin), mode), (*repairs, *mended)
+    rows = None if model.file_rows is None else model.file_rows.rows
+    model = model.with_(origin=origin, carried=carried_by(header, records, more, rows))
+    return with_mode(model, mode), (*repairs, *mended)
 
 
 def write_ply(model: GaussianModel) -> Iterator[bytes]:
     """The file in pieces: header, then rows; float32 little endian, INRIA's property order with zero normals; the
     centers of a model with an origin as doubles, with it added.
 
-    Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them. Reading gives the same bits back.
+    Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them; what the model carries follows. Reading gives
+    the same bits back.
     """
     rest = 3 * (model.sh.shape[1] - 1)
     names = ["x", "y", "z", *_NORMALS, "f_dc_0", "f_dc_1", "f_dc_2"]
@@ -82,10 +95,13 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     scales = ["scale_0", "scale_1"] if model.is_flat else ["scale_0", "scale_1", "scale_2"]
     names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
     comment = comment_of(model) if not model.is_flat else []  # two scales say it
-    lines = ["ply", "format binary_little_endian 1.0", *comment, f"element vertex {len(model)}"]
+    comments, properties = lines_of(model.carried)
+    lines = ["ply", "format binary_little_endian 1.0", *comment, *comments, f"element vertex {len(model)}"]
+    more = () if model.carried is None else model.carried.names
+    names = [name for name in names if name not in more]  # normals that are carried
     kinds = {name: "double" if any(model.origin) and name in _AXES else "float" for name in names}
-    lines += [f"property {kinds[name]} {name}" for name in names]
-    yield ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
+    lines += [f"property {kinds[name]} {name}" for name in names] + properties
+    yield ("\n".join([*lines, "end_header"]) + "\n").encode("latin-1")
 
     arrays = {
         "means": model.means,
@@ -94,11 +110,15 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
         "opacity_logits": model.opacity_logits,
         "sh": model.sh,
     }
-    columns = _columns(arrays, frozenset(names))
+    columns: dict[str, npt.NDArray[Any]] = dict(_columns(arrays, frozenset(names)))
+    dtype = [(name, "<f8" if kinds[name] == "double" else "<f4") for name in names]
+    if model.carried is not None:
+        columns |= {name: model.carried.columns[name] for name in more}
+        dtype += [(name, model.carried.columns.dtype[name].str) for name in more]
     for start in range(0, len(model), _ROWS_AT_ONCE):
         stop = min(start + _ROWS_AT_ONCE, len(model))
-        rows = np.zeros(stop - start, [(name, "<f8" if kinds[name] == "double" else "<f4") for name in names])
-        for name in columns.keys() & set(names):
+        rows = np.zeros(stop - start, dtype)
+        for name in columns:
             rows[name] = columns[name][start:stop]
         if any(model.origin):
             for axis, shift in zip(_AXES, model.origin, strict=True):
@@ -106,9 +126,9 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
         yield rows.tobytes()
 
 
-def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[Repair]]:
-    """The vertex element once it is known to hold Gaussians, the properties that are read, and what the file holds
-    besides."""
+def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[str], list[Repair]]:
+    """The vertex element once it is known to hold Gaussians, the properties that are read, those that are none of a
+    Gaussian, and what the file holds besides."""
     refuse_codebooks(header, file=file)
     vertex = header.element("vertex")
     if vertex is None:
@@ -139,12 +159,10 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[R
     extra = [p.name for p in vertex.properties if p.name not in known and p.name not in _NORMALS]
     if rest not in (0, 9, 24, 45):
         repairs.append(degree_dropped(4, vertex.count))
-    if extra:
-        repairs.append(ignored("properties", extra))
     others = [e.name for e in header.elements if e is not vertex]
     if others:
         repairs.append(ignored("elements", others))
-    return vertex, used, repairs
+    return vertex, used, extra, repairs
 
 
 def _count_rest(vertex: Element, file: str) -> int:

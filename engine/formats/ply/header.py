@@ -16,6 +16,9 @@ _SCALAR_TYPES |= {"half": "f2", "float16": "f2"}
 _SCALAR_TYPES |= {f"{'u' * (code[0] == 'u')}int{8 * int(code[1])}": code for code in _CODES.values()}
 """What PLY calls its types, old names and new, and how numpy spells them."""
 
+TYPE_NAMES = {code: name for name, code in _CODES.items()} | {"f2": "half", "f4": "float", "f8": "double"}
+"""What PLY calls numpy's types; no name is longer than the other of its kind."""
+
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _COUNT = re.compile(r"[0-9]{1,15}", re.ASCII)
 _NAME = re.compile(r"[\x21-\x7e]{1,80}")
@@ -64,7 +67,7 @@ class Element:
 @dataclass(frozen=True)
 class Header:
     """A parsed header: ``"<"`` or ``">"`` for binary files, empty for ASCII; uniquely named elements in the order of
-    the file; its length in bytes, up to and with the newline after ``end_header``; and the comments, as they are."""
+    the file; its length in bytes, up to and with the newline after ``end_header``; the comments, a character a byte."""
 
     byte_order: str
     elements: tuple[Element, ...]
@@ -110,7 +113,7 @@ class _Parser:
         words = line.decode("latin-1").split()
         keyword = words[0] if words else ""
         if keyword in ("comment", "obj_info"):
-            self.comments.append(" ".join(words[1:]))
+            self.comments.append(line.strip().partition(words[0].encode())[2].strip().decode("latin-1"))
             return
         if keyword == "format" and len(words) == 3:
             self._format(words[1], words[2])

@@ -7,7 +7,7 @@ from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import COLORS, dc_of_colors
 from engine.formats.ply.header import parse_header
 from engine.formats.repairs import Repair, clean
-from engine.model import GaussianModel
+from engine.model import Float32, GaussianModel
 
 __all__ = ["read_points"]
 
@@ -18,23 +18,16 @@ _SAMPLE, _NEIGHBOR = 4096, 4
 
 
 def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]] | None:
-    """Points of a PLY with a place and a color each; None where it has none of them, or is no PLY.
+    """Points of a PLY, or corners of an OBJ, with a place and a color each; None where it has none of them, or is
+    neither.
 
     Every one becomes a ball of half the median distance to its fourth neighbor. Such a model is a suspect only: to mark
     or convert it would be to make up what it lacks.
     """
-    if not data.startswith((b"ply\n", b"ply\r")):
+    found = _of_ply(data, file) if data.startswith((b"ply\n", b"ply\r")) else _of_obj(data)
+    if found is None:
         return None
-    header = parse_header(data, file=file)
-    vertex = header.element("vertex")
-    colors = None if vertex is None else next((c for c in COLORS if set(c) <= vertex.names), None)
-    if vertex is None or colors is None or not {"x", "y", "z"} <= vertex.names or not vertex.count:
-        return None
-    records = read_tables(data, header, ["vertex"], file=file)["vertex"]
-    with np.errstate(over="ignore", invalid="ignore"):
-        means = np.stack([records[axis].astype(np.float32) for axis in "xyz"], axis=1)
-        rgb = np.stack([records[color].astype(np.float32) for color in colors], axis=1)
-    dc = dc_of_colors(rgb, records.dtype[colors[0]])
+    means, dc = found
     count = len(means)
     sound = means[np.isfinite(means).all(axis=1)]
     size = 1.0
@@ -51,3 +44,30 @@ def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair,
         " them says little"
     )
     return model, (Repair("points", count, text), *repairs)
+
+
+def _of_ply(data: bytes, file: str) -> tuple[Float32, Float32] | None:
+    """Places and first coefficients, (N, 3) each."""
+    header = parse_header(data, file=file)
+    vertex = header.element("vertex")
+    colors = None if vertex is None else next((c for c in COLORS if set(c) <= vertex.names), None)
+    if vertex is None or colors is None or not {"x", "y", "z"} <= vertex.names or not vertex.count:
+        return None
+    records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = np.stack([records[axis].astype(np.float32) for axis in "xyz"], axis=1)
+        rgb = np.stack([records[color].astype(np.float32) for color in colors], axis=1)
+    return means, dc_of_colors(rgb, records.dtype[colors[0]])
+
+
+def _of_obj(data: bytes) -> tuple[Float32, Float32] | None:
+    """The same of lines `v x y z red green blue`, as MeshLab and CloudCompare write them."""
+    lines = [line for line in data.splitlines() if line.startswith((b"v ", b"v\t"))]
+    words = [line.split()[1:7] for line in lines]
+    if not words or any(len(each) != 6 for each in words):
+        return None
+    try:
+        rows = np.array(words, dtype="S32").astype(np.float32)
+    except ValueError:
+        return None
+    return rows[:, :3].copy(), dc_of_colors(rows[:, 3:], rows.dtype)
