@@ -9,7 +9,7 @@ from engine.compress.hvq import Stage
 from engine.compress.impact import Impact, uncertainty
 from engine.errors import CapacityError
 from engine.model import SH_C0, Float32, Float64, Int32
-from engine.watermark.carriers import make_carriers
+from engine.watermark.carriers import Carriers, make_carriers
 from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.layout import Layout
@@ -115,7 +115,7 @@ def make_plan(
         carriers = make_carriers(stage.codebook, usage, whole=whole)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
         if number == 0 and missed is not None:
-            chip = chip * _surprise(missed, carriers.directions[:, :3], config.surprise_exponent)
+            chip = chip * _surprise(missed, carriers, config.surprise_exponent)
         if jitter is not None:
             chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
@@ -138,12 +138,16 @@ def make_plan(
     return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
 
 
-def _surprise(missed: Float64, directions: Float64, exponent: float) -> Float64:
-    """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual."""
+def _surprise(missed: Float64, carriers: Carriers, exponent: float) -> Float64:
+    """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual; and
+    less along carriers where colours hardly vary at all, see `PlanningConfig.hidden`."""
+    directions = carriers.directions[:, :3]
     # Of a model in one colour nothing is missed, and rounding may make that less than nothing.
     off = np.sqrt(np.maximum(np.einsum("ri,mij,rj->mr", directions, missed, directions), 0.0))
     usual = np.maximum(np.median(off, axis=0), 1e-12)
-    return np.asarray(np.clip(off / usual, *_CONFIG.surprise) ** exponent)
+    shown = carriers.amplitudes / usual
+    most = np.minimum(1.0, _CONFIG.hidden * shown[0] / shown)
+    return np.asarray(np.clip(off / usual, *_CONFIG.surprise) ** exponent * most)
 
 
 def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:
