@@ -137,6 +137,10 @@ def test_cells_of_several_scenes() -> None:
     assert len(set(names)) == len(names)
     assert "stranger-own-format" in names
     assert "insider-1-qim-floats" in names
+    some = [cell.name for cell in STUDY.cells(Options(("/a/x.splat", "/b/x.sog"), settings=("differences",)))]
+    assert some == ["differences-0", "differences-1"]
+    with pytest.raises(InputError, match="no part 'copies'"):
+        STUDY.cells(Options(("/a/x.splat",), settings=("copies",)))
 
 
 @pytest.mark.slow
