@@ -50,6 +50,10 @@ class PlanningConfig:
     grain_chips_per_bit: int = 64  # fewest of the grain, lost by Gaussians: a tenth of the model reads nearly all bits
     # Range of how badly a color is guessed, relative to the usual, within which amplitudes follow it
     surprise: tuple[float, float] = (0.2, 4.0)
+    # Most that a carrier may show against how badly colors are guessed along it, in multiples of what the first one
+    # (nearly luma) shows: gray stone hardly varies in chroma, where a mark would be all that does. Five scenes: 2 hides
+    # as well as 1, and lowers no z
+    hidden: float = 2.0
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ def make_plan(
         carriers = make_carriers(stage.codebook, usage, whole=whole)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
         if number == 0 and missed is not None:
-            chip = chip * _surprise(missed, carriers.directions[:, :3], config.surprise_exponent)
+            chip = chip * _surprise(missed, carriers, config.surprise_exponent)
         if jitter is not None:
             chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
@@ -143,12 +143,16 @@ def make_plan(
     return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
 
 
-def _surprise(missed: Float64, directions: Float64, exponent: float) -> Float64:
-    """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual."""
+def _surprise(missed: Float64, carriers: Carriers, exponent: float) -> Float64:
+    """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual; and
+    less along carriers where colours hardly vary at all, see `PlanningConfig.hidden`."""
+    directions = carriers.directions[:, :3]
     # Of a model in one colour nothing is missed, and rounding may make that less than nothing.
     off = np.sqrt(np.maximum(np.einsum("ri,mij,rj->mr", directions, missed, directions), 0.0))
     usual = np.maximum(np.median(off, axis=0), 1e-12)
-    return np.asarray(np.clip(off / usual, *_CONFIG.surprise) ** exponent)
+    shown = carriers.amplitudes / usual
+    most = np.minimum(1.0, _CONFIG.hidden * shown[0] / shown)
+    return np.asarray(np.clip(off / usual, *_CONFIG.surprise) ** exponent * most)
 
 
 def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:

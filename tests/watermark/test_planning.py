@@ -58,6 +58,23 @@ def test_colors_that_are_hard_to_guess_carry_more_within_limits() -> None:
     np.testing.assert_allclose(ratio[:8] / ratio[0], np.repeat(expected[:, None], 3, axis=1), rtol=1e-5)
 
 
+def test_a_carrier_along_which_colors_hardly_vary_moves_no_more_than_hides() -> None:
+    """Gray stone: what its neighbours do not tell of a color is luma."""
+    stages, impact = scene()
+    codes = len(stages[0].codebook)
+    direction = make_plan(stages, impact).layout.directions[0]
+
+    def shown(along: list[float]) -> np.ndarray:
+        missed = np.tile((direction.T * np.square(along)) @ direction, (codes, 1, 1))
+        plan = make_plan(stages, impact, PlanConfig(), missed=missed)
+        return np.abs(plan.layout.split(plan.layout.amplitudes)[0]).mean(axis=0) / along
+
+    free, gray = shown([1.0, 1.0, 1.0]), shown([1.0, 1.0, 0.01])
+    assert gray[1] / gray[0] == pytest.approx(free[1] / free[0], rel=0.05)
+    assert free[2] < CONFIG.planning.hidden * free[0]
+    assert gray[2] == pytest.approx(CONFIG.planning.hidden * gray[0], rel=0.05)
+
+
 def test_views_get_about_the_same_energy() -> None:
     stages, impact = scene()
     energy = make_plan(stages, impact).energies.sum(axis=1)

@@ -25,7 +25,7 @@ from engine.watermark.layers import layered_z
 from engine.watermark.rates import BASES, AppliedRate
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
 
-__all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
+__all__ = ["CopyFinding", "Tracing", "count_copy_tries", "judge_copy", "trace", "trace_images", "trace_model"]
 
 SIGNS = 2
 """A copy's mark may show turned round."""
@@ -130,9 +130,9 @@ def trace(
             if place in settled:
                 continue
             assets[place].go_along(number)  # 2
-            found[record_id] = _judge(assets[place], opened)  # 3
+            found[record_id] = judge_copy(assets[place], opened)  # 3
             demanded[record_id] = config.rate_for(opened.attested)
-        tries = max(SIGNS * count_tries(len(found), routes, replace(config, tries=None)), config.tries or 1)
+        tries = count_copy_tries(len(found), routes, config)
         found = {name: _counted(finding, tries, config) for name, finding in found.items()}  # 4
         settled = {place for place, names in copies.items() if any(found[name].named for name in names)}
         if len(settled) == len(assets):
@@ -159,7 +159,13 @@ def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRec
         yield opened
 
 
-def _judge(asset: Copies, opened: OpenedRecord) -> CopyFinding:
+def count_copy_tries(records: int, routes: Sequence[str], config: VerifyConfig) -> int:
+    """Hypotheses of one tracing among so many records."""
+    return max(SIGNS * count_tries(records, routes, replace(config, tries=None)), config.tries or 1)
+
+
+def judge_copy(asset: Copies, opened: OpenedRecord) -> CopyFinding:
+    """What was read of an asset says about one of its copies; tries are not counted yet, and no copy is named."""
     reading = asset.reading
     copy = read_copy(reading, opened, either_way=True)
     if copy is None:  # its mark is its own, or the owner's alone

@@ -114,7 +114,7 @@ MEASUREMENTS = {
     "collusion": Measurement(
         "collusion: which of the colluding buyers are named, and whether an innocent one is",
         "truth:measure_collusion",
-        ("innocents",),
+        ("innocents", "settings"),
     ),
     "screening": Measurement(
         "which of many assets is it? ranks, seconds, bytes",

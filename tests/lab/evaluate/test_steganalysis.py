@@ -137,12 +137,16 @@ def test_cells_of_several_scenes() -> None:
     assert len(set(names)) == len(names)
     assert "stranger-own-format" in names
     assert "insider-1-qim-floats" in names
+    some = [cell.name for cell in STUDY.cells(Options(("/a/x.splat", "/b/x.sog"), settings=("differences",)))]
+    assert some == ["differences-0", "differences-1"]
+    with pytest.raises(InputError, match="no part 'copies'"):
+        STUDY.cells(Options(("/a/x.splat",), settings=("copies",)))
 
 
 @pytest.mark.slow
 def test_differences_of_copies_tell_their_own_layer_and_not_the_owners() -> None:
     rows = {row["secret"]: row for row in compare_copies(str(TRAIN), "fast", "floats", 2, 0)}
-    assert rows["check"]["difference_auc"] > 0.75
+    assert rows["check: signs"]["difference_auc"] > 0.75
     assert rows["signs"]["difference_auc"] == pytest.approx(0.5, abs=0.02)
     assert rows["signs"]["cases"] == 12_000
-    assert 0.4 < rows["borders"]["difference_auc"] < 1.0
+    assert rows["borders"]["difference_auc"] == pytest.approx(0.5, abs=0.05)

@@ -7,11 +7,13 @@ He knows how cells are made, what both layers move and by how much; not the sign
 - *Smoothing*: every colour becomes the mean of its neighbours'.
 - *Shaking*: every centre moved by a multiple of its own size, sizes by half as much at most, the order drawn anew.
 - Shaking and smoothing together.
+- *Cells of one's own*: every colour becomes the mean of a cell that place and colour make together, then shaking.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile as named_profile
@@ -37,6 +39,8 @@ SMOOTH = (8, 32)
 """Neighbours of which a colour becomes the mean."""
 SHAKES = (0.3, 1.0, 2.0, 4.0)
 """Standard deviation of a centre's move, in the Gaussian's own size along each axis."""
+CELLS = (2000, 1000, 500)
+"""Cells of one's own, drawn from the model."""
 CHAINS: tuple[tuple[str, tuple[tuple[str, Strength], ...]], ...] = (
     ("lattice", (("lattice", "all"),)),
     ("lattice, smoothed over 64", (("lattice", "all"), ("smooth_colors", 64))),
@@ -59,6 +63,18 @@ def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
     return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)))
 
 
+def own_cells(model: GaussianModel, count: int, seed: int) -> GaussianModel:
+    """Colours as the means of `count` cells about random Gaussians, by place, in distances to 32 neighbours, and DC."""
+    means, dc = model.means.astype(np.float64), model.sh[:, 0].astype(np.float64)
+    reach = np.median(cKDTree(means).query(means, 33, workers=2)[0][:, -1])
+    places = np.concatenate([means / reach, dc], axis=1)
+    drawn = np.random.default_rng(seed).choice(len(model), min(count, len(model)), replace=False)
+    cell = cKDTree(places[drawn]).query(places, workers=2)[1]
+    sizes = np.maximum(np.bincount(cell, minlength=len(drawn)), 1)
+    colors = np.stack([np.bincount(cell, column, len(drawn)) / sizes for column in dc.T], axis=1)
+    return model.with_dc(colors[cell].astype(np.float32))
+
+
 def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:
     yield "none", model
     for times in WASHES:
@@ -69,6 +85,9 @@ def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, G
         shaken = shake(model, sigma, np.random.default_rng(seed))
         yield f"shaken by {sigma:g}", shaken
         yield f"shaken by {sigma:g}, smoothed over {SMOOTH[0]}", smooth(shaken, SMOOTH[0])
+    for count in CELLS:
+        shaken = shake(own_cells(model, count, seed), SHAKES[0], np.random.default_rng(seed))
+        yield f"means of {count:,} own cells, shaken by {SHAKES[0]:g}", shaken
     for name, chain in CHAINS:
         suspect = model
         for attack, strength in chain:

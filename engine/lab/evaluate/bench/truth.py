@@ -7,17 +7,19 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice, product
-from typing import Any
 
 import numpy as np
 
+from engine.errors import InputError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
+from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.flows.trace.tracing import trace_model
-from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
+from engine.flows.trace.copies import Copies
+from engine.flows.trace.tracing import count_copy_tries, judge_copy
+from engine.flows.verify.search import Answer, Suspect, VerifyConfig, count_tries, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
@@ -28,12 +30,13 @@ from engine.lab.sim.adversaries.laundering import shake
 from engine.lab.sim.attack import Strength
 from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.records.header import chip_context
 from engine.watermark.keys import CHIPS, COPY, OwnerKey, signs
 from engine.watermark.rates import MADE_FIRST
-from engine.watermark.statistics import log10_false_claim_bound
+from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 COLLUDERS = (2, 3, 5, 10)
@@ -118,50 +121,71 @@ def forge(scene: MarkedScene, config: EmbedConfig) -> Row:
     return {"scene": scene.name, **claim_row("forged original", verification)}
 
 
-def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
+def measure_collusion(scene: str, seed: int, innocents: int, settings: Sequence[str] = ()) -> list[Row]:
     """Copies of one scene for several buyers, put together by every rule of `collude`, perhaps shaken afterwards.
 
-    Each result is read for the owner's claim and traced among the buyers and some of the `innocents`, which are dealt
-    among the results. `psnr_db` is the least of some views against the original.
+    Each result is placed and read once: for the owner's claim, and for the copies of the buyers and some of the
+    `innocents`, which are dealt among the results. `psnr_db` is the least of some views against the original.
+    `settings` limits the study to some of FORMS, and to some numbers of COLLUDERS; InputError where it names neither.
     """
-    names = [f"{BUYER} {number}" for number in range(max(COLLUDERS))]
+    forms, counts = _chosen(settings)
+    names = [f"{BUYER} {number}" for number in range(max(counts))]
     copies = mark_copies(scene, named_profile("fast", landmark_views=0), names, bits=BITS, seed=seed)
     opened = [copy.opened for copy in copies]
     cameras = make_rig(copies[0].original, VIEWS, SIDE, SIDE)
     truth = [render(copies[0].original, camera) for camera in cameras]
-    cells = list(product(FORMS, COLLUDERS, _ways()))
+    cells = list(product(counts, _ways()))
     strangers = innocent_copies(opened[0], bench_key(seed), innocents)
-    share = -(-innocents // len(cells))
+    share = -(-innocents // (len(forms) * len(cells)))
     rows = []
-    for form, count, (way, attack, strength, sigma) in cells:
-        rng = np.random.default_rng((seed, count))
-        given = _as_delivered([copy.marked for copy in copies[:count]], form)
-        suspect = model_attack(attack).apply(given[0], strength, rng=rng, others=given[1:])
-        suspect = shake(suspect, sigma, rng) if sigma else suspect
-        claim = verify_model(suspect, opened[0], VerifyConfig(route="model")).claim
-        records = [*opened[:count], *islice(strangers, share)]
-        traced = trace_model(suspect, records, VerifyConfig(route="model"))
-        guilty, others = (
-            [finding for finding in traced.findings if finding.copy.startswith(kind)] for kind in (BUYER, INNOCENT)
-        )
-        row: dict[str, Any] = {
-            "scene": copies[0].name,
-            "way": way,
-            "format": form,
-            "colluders": count,
-            "psnr_db": min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, cameras, strict=True)),
-            "z": claim.z,
-            "verdict": claim.verdict.value,
-            "named": sum(finding.named for finding in guilty),
-            "z_least": min(finding.z for finding in guilty),
-            "z_most": max(finding.z for finding in guilty),
-            "innocents": len(others),
-            "innocents_named": sum(finding.named for finding in others),
-            "innocent_z_largest": max((finding.z for finding in others), default=0.0),
-            "z_threshold": traced.z_threshold,
-        }
-        rows.append(row)
+    for form in forms:
+        given = _as_delivered([copy.marked for copy in copies], form)
+        for count, (way, attack, strength, sigma) in cells:
+            rng = np.random.default_rng((seed, count))
+            suspect = model_attack(attack).apply(given[0], strength, rng=rng, others=given[1:count])
+            suspect = shake(suspect, sigma, rng) if sigma else suspect
+            about = {"scene": copies[0].name, "way": way, "format": form, "colluders": count}
+            about["psnr_db"] = min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, cameras, strict=True))
+            rows.append(about | read_copies(suspect, [*opened[:count], *islice(strangers, share)]))
     return rows
+
+
+@one_blas_thread
+def read_copies(suspect: GaussianModel, records: Sequence[OpenedRecord]) -> Row:
+    """What `verify_model` says of the first record, and `trace_model` of all, along the route "model": one placement
+    for both. A record's name says whether it is of a buyer or of an innocent."""
+    config, routes = VerifyConfig(route="model"), ("model",)
+    asset = Copies(Suspect(suspect), records[0], routes, config, Clock())
+    asset.go_along(0)
+    answer = Answer(replace(config, tries=count_tries(1, routes, config)))
+    answer.hear(records[0], asset.reading)
+    claim = answer.verification.claim
+    least = z_threshold(config.false_claim_rate, count_copy_tries(len(records), routes, config))
+    z: dict[str, list[float]] = {BUYER: [], INNOCENT: []}
+    for record in records:
+        z[record.copy.split()[0]].append(judge_copy(asset, record).z)
+    named = {kind: sum(abs(value) >= least for value in values) for kind, values in z.items()}
+    return {
+        "z": claim.z,
+        "verdict": claim.verdict.value,
+        "named": named[BUYER],
+        "z_least": min(z[BUYER]),
+        "z_most": max(z[BUYER]),
+        "innocents": len(z[INNOCENT]),
+        "innocents_named": named[INNOCENT],
+        "innocent_z_largest": max(z[INNOCENT], default=0.0),
+        "z_threshold": least,
+    }
+
+
+def _chosen(settings: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Formats and numbers of colluders; all of those of which none is named."""
+    numbers = {str(count): count for count in COLLUDERS}
+    for name in settings:
+        if name not in FORMS and name not in numbers:
+            raise InputError(f"collusion has the settings {', '.join((*FORMS, *numbers))}, got {name!r}")
+    forms = [form for form in FORMS if form in settings]
+    return forms or list(FORMS), [numbers[name] for name in numbers if name in settings] or list(COLLUDERS)
 
 
 def _ways() -> Iterator[tuple[str, str, Strength, float]]:
