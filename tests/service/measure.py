@@ -232,6 +232,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=600, help="fairness: verifications of the crowd")
     parser.add_argument("--copies", type=int, default=41, help="copies: how many")
     parser.add_argument("--questions", type=int, default=200, help="oracle: embeds of the uploader, at each service")
+    parser.add_argument("--kinds", default="marked,original,unrelated", help="oracle: what uploads are, by service")
+    parser.add_argument("--minutes", type=float, default=100, help="oracle: begins no more questions after that")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="mark3dgs-measure-"))
