@@ -3,8 +3,7 @@
 Services in each of which another owner has one asset: the uploads carry its mark; or they derive from its original, and
 carry no mark of its owner's; or they have nothing to do with it (the known leak; `--kinds` leaves it out). The same
 uploads go to all of them, in blocks, since what one upload leaves to do the next one may wait for. The uploader deletes
-its assets after each block, as one would who wants clear answers: else each answer takes longer than the one before, and
-the marks of its own that are looked for hide what it wants to know.
+its assets after each block, as one would who wants clear answers: each asset of its own makes the next answer later.
 """
 
 from __future__ import annotations
