@@ -205,6 +205,7 @@ def scale(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         speeds = _throughput(made, asking, slot, body, args.verifies)
         faults = _faults(made, asking, body, args)
         faults |= _account(asking, faults.pop("jobs"))
+        made.wait_for_workers(WORKERS)  # also those that were killed
         environment = {**made.environment, "MARK3DGS_DATA_DIR": str(made.apis[0].folder / "data")}
         audit = [sys.executable, "-m", "service.cli", "audit", "verify", "--json"]
         audited = subprocess.run(audit, cwd=ROOT, env=environment, capture_output=True, text=True)
