@@ -48,6 +48,8 @@ class Fleet:
     apis: list[Served] = field(default_factory=list)
     workers: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
+    restarts: int = 0
+
     def add_worker(self, name: str) -> None:
         """Start a worker, on a machine of its own as far as it can tell."""
         home = self.folder / name
@@ -62,12 +64,17 @@ class Fleet:
             )
 
     def wait_for_workers(self, count: int) -> None:
-        """Return once so many are known to be alive."""
-        for _ in range(600):
+        """Return once so many are known to be alive; one that ended by itself is started again, as a supervisor does:
+        a worker that finds no database when it starts ends."""
+        for _ in range(1200):
+            for name, process in list(self.workers.items()):
+                if process.poll() is not None:
+                    self.restarts += 1
+                    self.add_worker(name)
             if httpx.get(f"{self.apis[0].address}/readyz", timeout=30).json()["workers"] == count:
                 return
             time.sleep(0.1)
-        raise AssertionError(f"not {count} workers within 60 s")
+        raise AssertionError(f"not {count} workers within 120 s")
 
     def cpu_seconds(self) -> float:
         """Processor time of the workers and of the steps that they waited for."""
@@ -206,6 +213,7 @@ def scale(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         faults = _faults(made, asking, body, args)
         faults |= _account(asking, faults.pop("jobs"))
         made.wait_for_workers(WORKERS)  # also those that were killed
+        faults["workers_that_ended_by_themselves"] = made.restarts
         environment = {**made.environment, "MARK3DGS_DATA_DIR": str(made.apis[0].folder / "data")}
         audit = [sys.executable, "-m", "service.cli", "audit", "verify", "--json"]
         audited = subprocess.run(audit, cwd=ROOT, env=environment, capture_output=True, text=True)
