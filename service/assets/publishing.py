@@ -73,8 +73,4 @@ def put_publication(asset_id: str, core: Core, caller: Admin, body: Publication 
 def published_of(service: Service, asset: str) -> Published:
     """What an owner set, or nothing."""
     row = service.db.query(sa.select(published).where(published.c.asset == asset)).first()
-    return (
-        Published(by_content=False, rights="")
-        if row is None
-        else Published(by_content=row.by_content, rights=row.rights)
-    )
+    return Published.model_validate(NOTHING if row is None else row, from_attributes=True)

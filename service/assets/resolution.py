@@ -172,8 +172,9 @@ async def query_by_content(
     Marks are not looked for: a copy without one finds the same manifests. Any API key may ask.
     """
     media = request.headers.get("content-type", "").strip().lower()
-    if media.partition("/")[0] not in _MEDIA:
-        raise Problem("unsupported-media-type", f"send model/*, image/* or application/*, not {media!r}")
+    if media and media.partition("/")[0] not in _MEDIA:  # `curl -T` says nothing of it
+        text = f"send the file's bytes as model/*, image/* or application/*, not {media.partition(';')[0]!r}"
+        raise Problem("unsupported-media-type", f"{text} (curl --data-binary @FILE)")
     limit = core.settings.matches_per_hour
     await asyncio.to_thread(spend, core.db, f"match:{caller.key_id}", limit, 1, "searches by content of this API key")
     with core.blobs.new_file() as path:

@@ -86,6 +86,7 @@ class Embedded:
     gaussians: int
     seconds: float
     already_carries: list[str]  # the tenant's own assets whose mark the model carried before
+    psnr_as_written: float | None = None  # dB of the file read back, against the original: with a format's rounding
     not_screened: int = 0  # copies that it resembles and that were not looked for, since they are too many
 
 

@@ -29,6 +29,9 @@ HELD = (
 )
 
 
+MEASURED = ("psnr_worst_view", "psnr_as_written", "ssim_worst_view", "seconds")
+
+
 class Screening(TypedDict):
     """Which of the uploader's own marks an upload carries."""
 
@@ -105,7 +108,7 @@ def _commit(service: Service, run: Run) -> Ending:
     result = {
         "asset_id": row["id"],
         **{name: row[name] for name in ("record_id", "message", "gaussians")},
-        **{name: report[name] for name in ("psnr_worst_view", "ssim_worst_view", "seconds")},
+        **{name: report[name] for name in MEASURED if name in report},  # a step of before has no psnr_as_written
         "already_carries": [found["asset"] for found in made["screening"]["carries"]],
         "not_screened": made["screening"].get("not_screened", 0),  # a step of before has none
         "review": HELD,

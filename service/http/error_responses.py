@@ -71,11 +71,16 @@ def _methods(app: FastAPI, request: Request) -> set[str]:
     return found | {"HEAD"} if "GET" in found else found
 
 
+_TEXTS = {"model_attributes_type": "send a JSON object, with the header Content-Type: application/json"}
+"""In place of the framework's own, by type of error."""
+
+
 def invalid(errors: list[Any]) -> Problem:
     """A problem of what a validation found; each entry names the place and what is wrong there."""
     broken = any(entry["type"] in ("json_invalid", "model_attributes_type") for entry in errors)
     places = [
-        {"place": ".".join(str(part) for part in entry["loc"]), "text": str(entry["msg"])} for entry in errors[:20]
+        {"place": ".".join(str(part) for part in entry["loc"]), "text": _TEXTS.get(entry["type"], str(entry["msg"]))}
+        for entry in errors[:20]
     ]
     detail = "; ".join(f"{entry['place']}: {entry['text']}" for entry in places[:3])
     return Problem("malformed-request" if broken else "invalid-request", detail, errors=places)

@@ -61,7 +61,8 @@ async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tu
     elif media == "multipart/form-data":
         values, found = await _form_fields(request, files)
     else:
-        raise Problem("unsupported-media-type", f"send application/json or multipart/form-data, not {media!r}")
+        text = f"send a form with the file in it (curl -F {files[0]}=@FILE) or application/json, not {media!r}"
+        raise Problem("unsupported-media-type", text)
     try:
         return kind.model_validate(values, strict=media == "application/json"), found
     except ValidationError as error:

@@ -25,6 +25,7 @@ _EMBEDDED: JsonValue = {
     "message": "8be81eaf",
     "gaussians": 113648,
     "psnr_worst_view": 47.04,
+    "psnr_as_written": 46.31,
     "ssim_worst_view": 0.9985,
     "seconds": 10.5,
     "already_carries": [],
@@ -67,6 +68,9 @@ class EmbedResult(TypedDict):
     message: Annotated[str, Field(description="The registered bits, hexadecimal.")]
     gaussians: int
     psnr_worst_view: Annotated[float, Field(description="dB, against the unmarked render.")]
+    psnr_as_written: NotRequired[  # a step of before has none
+        Annotated[float, Field(description="dB of the file read back, against the original: with a format's rounding.")]
+    ]
     ssim_worst_view: float
     seconds: float
     already_carries: Annotated[list[str], Field(description="Assets of yours whose mark the model carried before.")]

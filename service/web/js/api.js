@@ -25,8 +25,8 @@ export function problemOf(text, status, requestId) {
 }
 
 /** A response that is fine; throws a Problem otherwise. */
-export async function request(path, { method = "GET", json, headers = {}, signal } = {}) {
-  const options = { method, headers: { ...authorization(), ...headers }, signal };
+export async function request(path, { method = "GET", json, body, headers = {}, signal } = {}) {
+  const options = { method, body, headers: { ...authorization(), ...headers }, signal };
   if (json !== undefined) {
     options.body = JSON.stringify(json);
     options.headers["Content-Type"] = "application/json";

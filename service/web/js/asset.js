@@ -25,6 +25,8 @@ export function assetView(asset, { title, made = {}, again } = {}) {
       `It resembles more registered copies than were checked: ${count(made.not_screened)} were not checked.`) : null,
     h("dl", { class: "facts" },
       fact("Fidelity", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR, worst view")),
+      report.psnr_as_written === undefined ? null :
+        fact("As written", `${report.psnr_as_written.toFixed(1)} dB`, h("small", {}, `PSNR of the .${asset.model_format} file`)),
       fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, "SSIM, worst view")),
       fact("Gaussians", count(asset.gaussians),
         h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),

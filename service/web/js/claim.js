@@ -2,6 +2,7 @@
 import { download, getBlob } from "./api.js";
 import { copyable } from "./copy.js";
 import { fact, h } from "./dom.js";
+import { dropZone } from "./drop.js";
 import { packForm } from "./pack.js";
 import { claimPictures } from "./pictures.js";
 import { problemBox } from "./problem.js";
@@ -12,8 +13,8 @@ import { bits, scale } from "./charts.js";
 
 const DRAWN = new Set(["false claim", "message read"]);
 
-/** View of a signed claim: {element, heading, opened()}. */
-export function claimView({ document: claim, summary }, { again } = {}) {
+/** View of a signed claim: {element, heading, opened()}. `add(claim, files)` checks its pictures again, with more. */
+export function claimView({ document: claim, summary }, { again, add } = {}) {
   const heading = h("h1", { tabindex: "-1" }, summary.headline);
   const link = h("a", { href: `#asset/${claim.asset}` }, "Open it");
   const pictures = claimPictures(claim, link);
@@ -25,6 +26,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
       h("p", {}, claim.meaning.says));
   const element = h("div", { class: "result" },
     pictures.element ? h("div", { class: "evidence" }, verdict, pictures.element) : verdict,
+    add && may("verify") && claim.verdict === "inconclusive" && claim.subject.kind === "pictures" ? morePictures(claim, add) : null,
     claim.threshold ? section("sure", "False-claim probability", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
     h("p", { class: "help" }, claim.meaning.record_time),
     claim.message ? section("message", "Message read", summary, "message read",
@@ -44,6 +46,26 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     share?.opened();
   };
   return { element, heading, opened };
+}
+
+/** Pictures to be read together with those of a claim that was short of evidence. */
+function morePictures(claim, add) {
+  const problem = h("div");
+  const input = h("input", { type: "file", multiple: true, required: true, accept: "image/*", "aria-label": "Further pictures" });
+  const zone = h("div", { class: "drop" }, input, h("p", { class: "drop-name" }, "Drop further pictures of the same copy here, or choose files"));
+  const button = h("button", {}, "Check all pictures together");
+  const send = async (event) => {
+    event.preventDefault();
+    button.disabled = true;
+    await add(claim, [...input.files]).catch((error) => problem.replaceChildren(problemBox(error)));
+    button.disabled = false;
+  };
+  const many = claim.subject.sha256.length;
+  const form = h("form", { class: "card", onsubmit: send }, h("h2", {}, "Add pictures"),
+    h("p", { class: "help" }, `They are read together with the ${many === 1 ? "picture" : `${many} pictures`} of this check. Other views of the same copy add evidence; the same picture again does not.`),
+    zone, problem, button);
+  dropZone(zone, () => problem.replaceChildren());
+  return form;
 }
 
 /** Digests of what was examined; of many pictures those behind the first are folded away. */

@@ -18,7 +18,7 @@ export function startEmbed() {
     const key = await chosenKey();
     if (key === undefined) return;
     const body = request(key);
-    run([$("#mark-file").files[0]], "/v1/embed", ([id]) => ({ ...body, upload_id: id }), assetName(body));
+    run([$("#mark-file").files[0]], "/v1/embed", ([{ id }]) => ({ ...body, upload_id: id }), assetName(body));
   });
   return {
     enter: () => {

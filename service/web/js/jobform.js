@@ -9,7 +9,7 @@ import { Cancelled, Progress } from "./progress.js";
  * Wire the drop zone of a form of this name; {form, problem, run, leave}.
  *
  * `title` is of its progress; `show(result, again)` makes the view of a job's result, with a button for `again`.
- * `run(files, path, body, called)` uploads files and starts the job with `body(ids)`, which the list calls `called`.
+ * `run(files, path, body, called)` uploads files and starts the job with `body(uploads)`, which the list calls `called`.
  */
 export function jobForm(name, { title, show }) {
   const [form, intro, heading, place, result, problem] =
@@ -37,8 +37,8 @@ export function jobForm(name, { title, show }) {
     const running = new Progress(place, title);
     progress = running;
     try {
-      const ids = (await running.upload(files)).map((uploaded) => uploaded.id);
-      const job = await running.run((signal) => postOnce(path, body(ids), signal), called);
+      const asked = body(await running.upload(files));
+      const job = await running.run((signal) => postOnce(path, asked, signal), called);
       if (running !== progress) return;
       if (job.state !== "succeeded") throw refusal(job);
       view = await show(job.result, again);

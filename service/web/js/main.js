@@ -51,7 +51,7 @@ async function showItem(kind, id) {
   fill(place, h("p", { role: "status" }, "Loading…"));
   try {
     const plain = await getJson(`/v1/${kind === "claim" ? "claims" : "assets"}/${encodeURIComponent(id)}`);
-    item = kind === "claim" ? claimView(plain) : assetView(plain);
+    item = kind === "claim" ? claimView(plain, { add: views.check.add }) : assetView(plain);
     fill(place, h("p", { class: "crumb" }, h("a", { href: "#library" }, "← Library")), item.element);
     item.opened?.();
   } catch (error) {

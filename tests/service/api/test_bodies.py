@@ -17,6 +17,7 @@ from starlette.types import Message
 from service.http import middleware
 from tests.service import serving
 from tests.service.api.conftest import Api
+from tests.service.measure_load import drip
 
 MULTIPART = "multipart/form-data; boundary=x"
 FORM = b'--x\r\nContent-Disposition: form-data; name="model"; filename="a"\r\n\r\n'
@@ -125,25 +126,14 @@ def test_a_client_that_leaves_is_no_fault(
 def test_many_who_drip_without_a_key(tmp_path: Path) -> None:
     """Each gets its answer and is gone; others are served meanwhile, and the log stays short."""
     served = serving.start(tmp_path, workers=0)
-    host, port = served.address.removeprefix("http://").split(":")
-    head = b"POST /v1/verify HTTP/1.1\r\nHost: t\r\nContent-Type: application/json\r\nContent-Length: 100000\r\n\r\n{"
     try:
-        lines = [socket.create_connection((host, int(port)), timeout=20) for _ in range(200)]
-        for line in lines:
-            line.sendall(head)
-        began = time.monotonic()
-        serving.wait_until_up(served.process, served.address, tmp_path / "log.txt")
-        assert time.monotonic() - began < 5
-        for line in lines:
-            said = b""
-            while chunk := line.recv(65536):
-                said += chunk
-            assert said.startswith(b"HTTP/1.1 401 ")
-            line.close()
-        assert time.monotonic() - began < 20
-        assert len(served.log()) < 2000
+        found = drip(served, 200)
     finally:
         served.stop()
+    assert found["statuses"] == {401: 200}
+    assert found["health_most_s"] < 5
+    assert found["all_ended_s"] < 20
+    assert found["log_bytes"] < 2000
 
 
 def test_what_still_comes_is_read_before_the_line_is_closed(api: Api) -> None:

@@ -184,7 +184,10 @@ def test_bodies_that_are_no_json(api: Api) -> None:
     for path in ("/v1/embed", "/v1/keys"):
         answer = api.client.post(path, content=b"{", headers={"Content-Type": "application/json"})
         assert answer.status_code == 400, answer.text
-    assert api.client.post("/v1/embed", content=b"x", headers={"Content-Type": "text/plain"}).status_code == 415
+    for route, hint in (("embed", "curl -F model=@FILE"), ("uploads", "Content-Type: application/json")):
+        said = api.client.post(f"/v1/{route}", content=b"{}", headers={"Content-Type": "text/plain"})
+        assert said.status_code in (400, 415)
+        assert hint in said.json()["detail"]
     broken = api.client.post("/v1/embed", content=b"x", headers={"Content-Type": "multipart/form-data"})
     assert broken.status_code == 400
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import time
 import urllib.request
 from typing import TYPE_CHECKING, Any
+
+from PIL import Image
 
 from tests.scenes import sparse_plant
 from tests.service.web.journey import PLANT
@@ -25,7 +28,7 @@ def ask(served: Served, path: str, method: str = "GET", body: Any = None, **head
         headers={"Authorization": f"Bearer {served.api_key}", **kind, **headers},
     )
     with urllib.request.urlopen(request, timeout=120) as response:
-        return json.load(response)
+        return json.loads(response.read() or b"null")
 
 
 def done(served: Served, path: str, body: dict[str, Any]) -> dict[str, Any]:
@@ -43,6 +46,13 @@ def upload(served: Served, name: str, data: bytes) -> str:
     slot = ask(served, "/v1/uploads", "POST", {"name": name, "size": len(data)})["id"]
     ask(served, f"/v1/uploads/{slot}", "PUT", data)
     return str(slot)
+
+
+def png(number: int) -> bytes:
+    """A small picture, each number's another."""
+    file = io.BytesIO()
+    Image.new("RGB", (64, 48), (number, 100, 100)).save(file, "PNG")
+    return file.getvalue()
 
 
 def stock(served: Served) -> tuple[str, str]:

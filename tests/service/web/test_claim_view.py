@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.service.web.conftest import PHONE, Served, shoot, sign_in
 from tests.service.web.journey import PLANT
-from tests.service.web.stock import ask, stock
+from tests.service.web.stock import ask, png, stock, upload
 from tests.service.web.stubs import a_claim, lists
 
 if TYPE_CHECKING:
@@ -70,6 +72,44 @@ def test_a_claim_without_pictures_names_what_was_examined(page: Page, served: Se
     claim_of(page, served)
     page.locator(".facts", has_text="stolen.ply and 1 more").wait_for()
     assert page.locator(".side-by-side").count() == 0
+
+
+def test_pictures_are_added_to_a_check_that_was_short(page: Page, served: Served, tmp_path: Path) -> None:
+    """The request has the pictures of before, as they were stored, and the further one."""
+    asset, claim = stock(served)
+    before = [upload(served, f"{n}.png", png(n)) for n in (1, 2)]
+    digests = [hashlib.sha256(png(n)).hexdigest() for n in (1, 2)]
+    further = tmp_path / "a further one.ply"  # a picture all the same
+    further.write_bytes(png(3))
+    asked: list[Any] = []
+
+    def short(route: Route) -> None:
+        answer = route.fetch()
+        plain = answer.json()
+        plain["document"] |= {"verdict": "inconclusive", "subject": {"kind": "pictures", "sha256": digests}}
+        route.fulfill(response=answer, json=plain)
+
+    def refuse(route: Route) -> None:
+        asked.append(route.request.post_data_json)
+        route.fulfill(status=409, json={"title": "stop here", "status": 409})
+
+    page.route(f"**/v1/claims/{claim}", short)
+    page.route("**/v1/verify", refuse)
+    claim_of(page, served)
+    shoot(page, "claim-short")
+    page.get_by_label("Further pictures").set_input_files(further)
+    page.get_by_role("button", name="Check all pictures together").click()
+    page.locator("#check-problem", has_text="stop here").wait_for()
+    (body,) = asked
+    assert body["image_upload_ids"][:2] == before
+    assert ask(served, f"/v1/uploads/{body['image_upload_ids'][2]}")["name"] == further.name
+    assert body["asset_id"] == asset, "it was asked about this asset"
+    for one in before:
+        ask(served, f"/v1/uploads/{one}", "DELETE")
+    page.goto(f"{served.address}/#claim/{claim}")
+    page.get_by_label("Further pictures").set_input_files(further)
+    page.get_by_role("button", name="Check all pictures together").click()
+    page.get_by_text("The pictures of this check are gone").wait_for()
 
 
 def test_a_claim_about_a_deleted_model_says_so(page: Page, served: Served) -> None:

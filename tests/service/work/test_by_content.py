@@ -171,9 +171,11 @@ def test_what_is_neither_model_nor_picture(service: Service) -> None:
     asker = client(service)
     for content, media, status in (
         (b"x" * 100, "model/gltf-binary", 422),
+        (b"x" * 100, "", 422),  # as `curl -T` sends it
         (b"\x89PNG\r\n\x1a\n" + bytes(100), "image/png", 422),
         (b'{"frames": []}', "application/json", 415),
         (b"x", "video/mp4", 415),
+        (b"x", "multipart/form-data; boundary=y", 415),
         (b"", "model/gltf-binary", 400),
     ):
         answer = asker.post("/v1/matches/byContent", content=content, headers={"Content-Type": media})
