@@ -143,6 +143,15 @@ def make_plan(
     return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
 
 
+@dataclass(frozen=True, eq=False)
+class Carriers:
+    """Orthonormal directions (R, D), singular value order, and relative amplitudes (R,), norm 1; D is 3 in DC space, or
+    3K of all coefficients."""
+
+    directions: Float64
+    amplitudes: Float64
+
+
 def _surprise(missed: Float64, carriers: Carriers, exponent: float) -> Float64:
     """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual; and
     less along carriers where colours hardly vary at all, see `PlanningConfig.hidden`."""
@@ -258,15 +267,6 @@ LUMA = np.array([0.299, 0.587, 0.114]) / np.linalg.norm([0.299, 0.587, 0.114])
 
 CARRIERS = 3
 """Directions R: all that DC space has, and as many of a wider one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Carriers:
-    """Orthonormal directions (R, D), singular value order, and relative amplitudes (R,), norm 1; D is 3 in DC space, or
-    3K of all coefficients."""
-
-    directions: Float64
-    amplitudes: Float64
 
 
 def make_carriers(
