@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from engine.kernels.thread_crew import use_threads
-from engine.raster import RasterSettings, prepare_view, sorting
+from engine.raster import RasterSettings, binning, prepare_view
 from engine.raster.binning import list_starts
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -28,8 +28,8 @@ def test_sort_is_stable_and_leaves_gaps_out(monkeypatch: pytest.MonkeyPatch, com
     depths = rng.choice(rng.lognormal(0.0, 3.0, 40), 256).astype(np.float32)  # many ties
     index = np.arange(256, dtype=np.int32)
     keys, order = np.zeros((2, 256), np.uint64), np.zeros(256, np.int32)
-    histograms = np.zeros((2, workers, sorting.BUCKETS), np.int64)
-    n = sorting.sort_by_depth(depths.view(np.uint32), index, counts, chunk, keys, order, histograms)
+    histograms = np.zeros((2, workers, binning.BUCKETS), np.int64)
+    n = binning.sort_by_depth(depths.view(np.uint32), index, counts, chunk, keys, order, histograms)
     present = np.concatenate([index[c * chunk : c * chunk + k] for c, k in enumerate(counts)])
     assert n == counts.sum()
     np.testing.assert_array_equal(order[:n], present[np.argsort(depths[present], kind="stable")])
@@ -41,7 +41,7 @@ def uncompiled(kernel: Any) -> Any:
 
 def test_few_gaussians_are_sorted_by_one_thread() -> None:
     with use_threads(4):
-        assert [sorting.workers_for(n) for n in (16, 50_000, 100_000, 10_000_000)] == [1, 1, 3, 4]
+        assert [binning.workers_for(n) for n in (16, 50_000, 100_000, 10_000_000)] == [1, 1, 3, 4]
 
 
 @pytest.mark.parametrize("run", [list_starts, list_starts.py_func], ids=["compiled", "python"])
