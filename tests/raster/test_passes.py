@@ -22,7 +22,7 @@ from tests.reference import raster as twin
 def test_sort_is_stable_and_leaves_gaps_out(monkeypatch: pytest.MonkeyPatch, compiled: bool, workers: int) -> None:
     if not compiled:
         for name in ("pack_keys", "count_digits", "move_keys"):
-            monkeypatch.setattr(sorting, name, uncompiled(getattr(sorting, name)))
+            monkeypatch.setattr(binning, name, uncompiled(getattr(binning, name)))
     rng = np.random.default_rng(0)
     chunk, counts = 64, np.array([64, 0, 17, 40])
     depths = rng.choice(rng.lognormal(0.0, 3.0, 40), 256).astype(np.float32)  # many ties
