@@ -16,7 +16,7 @@ from engine.cli.failures import VERDICT_CODES
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import From, Json, Key, SpzFrame
-from engine.cli.streams import check_kind, input_file, input_name
+from engine.cli.streams import STREAM, check_kind, input_file, input_name
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
 from engine.present.numerals import number
@@ -127,6 +127,8 @@ def verify(
     """
     console = Console(json)
     began = time.perf_counter()
+    if suspects.count(STREAM) > 1:
+        raise InputError("standard input is one suspect: '-' was given more than once")
     files = {context.with_resource(input_file(path)): path for path in suspects}
     source = SuspectFiles.sort_out(list(files), cameras, spz_frame, input_name(suspects[0], given))
     if regions is not None:

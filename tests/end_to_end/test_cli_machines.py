@@ -138,6 +138,7 @@ def test_pipes_carry_files(tmp_path: Path, odd: Path) -> None:
         (("convert", "-", "out.ply"), b"", "standard input: is empty"),
         (("inspect", "-", "--from", "spz"), SCENE.read_bytes(), "standard input: is ply, not 'spz' as --from says"),
         (("inspect", "-"), b"\x1f\x8b cut off", "standard input: "),
+        (("verify", "-", "-", "--key", "k", "--record", "r"), b"", "standard input is one suspect"),
     ],
 )
 def test_refusals_leave_standard_output_empty(arguments: tuple[str, ...], given: bytes, message: str) -> None:
