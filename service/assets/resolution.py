@@ -172,7 +172,7 @@ async def query_by_content(
     Marks are not looked for: a copy without one finds the same manifests. Any API key may ask.
     """
     media = request.headers.get("content-type", "").strip().lower()
-    if media and media.partition("/")[0] not in _MEDIA:  # `curl -T` says nothing of it
+    if media and media.partition("/")[0] not in _MEDIA:  # curl sends no Content-Type with -T
         text = f"send the file's bytes as model/*, image/* or application/*, not {media.partition(';')[0]!r}"
         raise Problem("unsupported-media-type", f"{text} (curl --data-binary @FILE)")
     limit = core.settings.matches_per_hour
