@@ -152,3 +152,10 @@ def test_embed_leaves_out_what_reveals_and_says_so(tmp_path: Path, plant: Gaussi
 def test_without_names_nothing_changes(plant: GaussianModel) -> None:
     assert without(plant, ["label"]) is plant
     assert revealing(plant) == []
+
+
+def test_a_header_that_is_full_is_not_made_longer(plant: GaussianModel) -> None:
+    full = carrying(plant, *["x" * 900] * 70, label=np.zeros(len(plant), "u1"))
+    loaded = read_model(encode_model(full, "ply"))
+    assert [each.code for each in loaded.repairs] == ["header_too_long"]
+    assert loaded.model.carried is None

@@ -13,7 +13,7 @@ from engine.errors import FormatError
 from engine.formats.modes import comment_of, mode_of_comments, with_mode
 from engine.formats.morton import morton_order
 from engine.formats.ply.body import read_tables
-from engine.formats.ply.extras import carried_by, ignored, lines_of
+from engine.formats.ply.extras import carried_by, carrying, ignored, lines_of
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.model import SH_C0, Float32, GaussianModel
@@ -83,8 +83,7 @@ def read_compressed_ply(data: bytes | memoryview, *, file: str) -> tuple[Gaussia
     if others:
         repairs = (ignored("elements", others), *repairs)
     more = [name for name in (p.name for p in vertex.properties) if name not in _WORDS]
-    if more:
-        repairs = (ignored("properties", more), *repairs)
+    repairs = (*carrying(header, more), *repairs)
     used = None if model.file_rows is None else model.file_rows.rows
     model = model.with_(carried=carried_by(header, words, more, used))
     return with_mode(model, mode_of_comments(header.comments)), repairs

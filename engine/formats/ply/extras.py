@@ -20,6 +20,7 @@ from engine.model import Carried, Float32
 __all__ = [
     "FILTER",
     "carried_by",
+    "carrying",
     "fuse_filter",
     "ignored",
     "is_motion",
@@ -88,7 +89,7 @@ def carried_by(
     """These properties of the rows of a file that are Gaussians, all where `rows` is None, and its comments; None where
     there is neither."""
     comments = tuple(each for each in header.comments if mode_of_comments([each]) is None)
-    if not (names or comments) or header.size > MAX_HEADER_BYTES - _HEADER_ROOM:
+    if not (names or comments) or _is_long(header):
         return None
     kinds = [(name, records.dtype[name].newbyteorder("<")) for name in names]
     count = len(records) if rows is None else len(rows)
@@ -111,3 +112,17 @@ def ignored(what: str, names: list[str]) -> Repair:
     """The note on properties, which a PLY keeps, or elements that no Gaussian has."""
     done = "are kept in .ply alone" if what == "properties" else "were ignored"
     return Repair(f"extra_{what}", len(names), f"{what} that no Gaussian has {done}: {named(names)}")
+
+
+def carrying(header: Header, names: list[str]) -> list[Repair]:
+    """Notes on what `carried_by` carries of these properties and the comments, or cannot."""
+    if _is_long(header):
+        text = (
+            f"comments and properties that no Gaussian has were dropped: the header has {header.size:,} bytes already"
+        )
+        return [Repair("header_too_long", 1, text)]
+    return [ignored("properties", names)] if names else []
+
+
+def _is_long(header: Header) -> bool:
+    return header.size > MAX_HEADER_BYTES - _HEADER_ROOM

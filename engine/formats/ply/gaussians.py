@@ -16,6 +16,7 @@ from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, geor
 from engine.formats.ply.extras import (
     FILTER,
     carried_by,
+    carrying,
     fuse_filter,
     ignored,
     lines_of,
@@ -48,7 +49,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     header, renamed = plain_names(parse_header(data, file=file))
     vertex, used, more, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
-    repairs = [*renamed, *([ignored("properties", more)] if more else []), *repairs]
+    repairs = [*renamed, *carrying(header, more), *repairs]
     if any(records[name].any() for name in _NORMALS if name in vertex.names):
         more = [p.name for p in vertex.properties if p.name in (*more, *_NORMALS)]
     colored = any(repair.code == "colors_read" for repair in renamed)
