@@ -3,7 +3,7 @@ import { getJson } from "./api.js";
 import { assetView } from "./asset.js";
 import { $, fill } from "./dom.js";
 import { jobForm } from "./jobform.js";
-import { chosenKey, listKeys, startKeys } from "./keys.js";
+import { chosenKey, dropKeys, listKeys, startKeys } from "./keys.js";
 import { showProblem } from "./problem.js";
 import { assetName } from "./words.js";
 
@@ -27,7 +27,7 @@ export function startEmbed() {
     },
     leave: () => {
       leave();
-      fill($("#mark-key"));
+      dropKeys();
     },
   };
 }

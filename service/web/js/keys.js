@@ -5,9 +5,13 @@ import { getAll } from "./pages.js";
 import { showProblem } from "./problem.js";
 import { may } from "./session.js";
 
+let asked = 0;
+
 /** List the keys; with none, the form to make one is open at once. Who may not see or make them has the only one. */
 export async function listKeys() {
+  const turn = ++asked;
   const items = may("read") ? await getAll("/v1/keys") : [];
+  if (turn !== asked) return; // a later question was answered first
   const select = $("#mark-key");
   const chosen = select.value;
   fill(select, items.map((key) =>
@@ -18,6 +22,12 @@ export async function listKeys() {
   const none = select.options.length === 0;
   $("#key-cancel").hidden = none;
   showMaking(none || !$("#key-make").hidden); // who is making a key is not interrupted
+}
+
+/** List none, whatever is still being asked for. */
+export function dropKeys() {
+  asked++;
+  fill($("#mark-key"));
 }
 
 /** Id of the chosen key, made if its form is open; "" for the owner's only one, undefined where none could be made. */

@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from service.work.pictures import CAPTION_HEIGHT, PREVIEW_GAP, PREVIEW_SIZE
@@ -119,6 +120,28 @@ def test_an_answer_that_comes_late_does_not_replace_a_later_one(page: Page) -> N
         held[0].fallback()
     page.evaluate("new Promise((resolve) => setTimeout(resolve, 100))")
     assert page.locator("#assets strong").all_inner_texts() == ["quick"]
+
+
+@pytest.mark.parametrize("forgotten", [False, True])
+def test_keys_that_come_late_replace_nothing(page: Page, forgotten: bool) -> None:
+    held: list[Route] = []
+    page.route("**/v1/keys*", lambda route: held.append(route))
+    page.get_by_role("link", name="Check", exact=True).click()
+    page.get_by_role("link", name="Mark", exact=True).click()
+    while not held:
+        page.wait_for_timeout(20)
+    if forgotten:
+        page.get_by_role("button", name="Forget API key").click()
+    else:
+        lists(page, keys=[{"id": "key_1", "label": "Later", "fingerprint": "0123456789"}])
+        page.get_by_role("link", name="Check", exact=True).click()
+        page.get_by_role("link", name="Mark", exact=True).click()
+        page.locator("#mark-key", has_text="Later").wait_for(state="attached")
+    key = {"id": "key_0", "label": "Earlier", "fingerprint": "0123456789"}
+    with page.expect_response("**/v1/keys*"):
+        held[0].fulfill(json={"items": [key], "next": None})
+    page.evaluate("new Promise((resolve) => setTimeout(resolve, 100))")
+    assert page.locator("#mark-key option").all_inner_texts() == ([] if forgotten else ["Later (01234567)"])
 
 
 def test_nothing_of_it_stays_once_the_key_is_forgotten(page: Page) -> None:
