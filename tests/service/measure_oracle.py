@@ -23,6 +23,7 @@ import numpy.typing as npt
 from engine.formats import encode_model, read_model
 from engine.watermark.keys import OwnerKey
 from service.client import Client
+from service.work.tasks import TASKS
 from tests.service import serving
 from tests.service.flow.commands import token_of
 from tests.service.measuring import FINAL, PLANT
@@ -92,6 +93,44 @@ def oracle(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         name: [float(np.median(table[label == k, n])) for k in range(len(kinds))] for n, name in enumerate(names)
     }
     return found | {"medians": medians}
+
+
+def looking(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """Processor time of looking for another owner's mark, as the job that follows an embed does, by whether the upload
+    has it: what a queue could reveal at most. Steady on a busy machine, where times by the clock are not."""
+    original, random = folder / "scene.splat", np.random.default_rng(args.seed)
+    original.write_bytes(_splat(SCENE))
+    request: dict[str, Any] = {"model": str(original), "message": None, "profile": "fast", "format": "splat"}
+    candidates, seconds, found = list[dict[str, str]](), ([], []), [0, 0]
+    for name in KINDS[:2]:
+        (home := folder / name).mkdir()
+        key = random.bytes(32).hex()
+        made = TASKS["embed"]({**request, "key": key}, home, lambda stage, fraction: None)
+        candidates.append(
+            {"asset": name, "original": "scene", "record": str(home / made["files"]["record"]), "key": key}
+        )
+        if name == "marked":
+            model = (home / made["files"]["model"]).read_bytes()
+    upload = folder / "upload.splat"
+    for number in range(-3, args.questions):  # the first compile
+        upload.write_bytes(_changed(model, random))
+        for which in random.permutation(2):
+            began = time.process_time()
+            looked = {"model": str(upload), "candidates": [candidates[which]]}
+            carried = TASKS["marks"](looked, folder, lambda stage, fraction: None)["carries"]
+            if number >= 0:
+                seconds[which].append(time.process_time() - began)
+                found[which] += len(carried)
+    times = np.array(seconds)
+    differences, label = times[0] - times[1], np.repeat([1, 0], times.shape[1])
+    return {
+        "uploads": args.questions,
+        "marks_found": dict(zip(KINDS, found, strict=False)),
+        "median_cpu_s": dict(zip(KINDS, map(float, np.median(times, axis=1)), strict=False)),
+        "mean_difference_s": float(differences.mean()),
+        "standard_error_s": float(differences.std() / np.sqrt(len(differences))),
+        "auc": _auc(times.ravel(), label),
+    }
 
 
 def _splat(path: Path) -> bytes:
