@@ -21,6 +21,9 @@ class Settings(BaseSettings):
 
     data_dir: Path = Field(Path("mark3dgs-data"), description="Folder of database, blobs and scratch files.")
     database_url: str = Field("", description="postgresql://...; empty: a SQLite file in the data folder.")
+    database_wait_seconds: float = Field(
+        300.0, ge=0, description="`serve` and `worker` wait so long at their start for PostgreSQL to answer."
+    )
     blob_url: str = Field("", description="s3://bucket/prefix; empty: a folder in the data folder.")
     master_key: SecretStr | None = Field(
         None, description="64 hex digits that seal all secrets; empty: the file master.key in the data folder."

@@ -79,8 +79,8 @@ class MarkReport(Report):
     profile: str
     repairs: tuple[Repair, ...]  # what was mended on loading
     psnr_as_written: float
-    """dB of the file read back, against the original, in the key view that shows most of the mark; where the file holds
-    every bit of the marked model, its `psnr_total_worst_view`."""
+    """dB of the file read back, against the original, in the key view of `psnr_total_worst_view`; where the file
+    holds every bit of the marked model, that value."""
     notes: list[str]  # what the owner should know of the file
     seconds: float
     seconds_by_stage: dict[str, float] = field(default_factory=dict)

@@ -242,7 +242,7 @@ def decide(
         if needed.seen:  # the evidence itself says what a mark would give
             missing = _short(z, needed, known.derivation, config)
         elif not sums.expected_z > 0:
-            missing = "no part of the asset could be measured in the suspect"
+            missing = _unmeasured(known.derivation)
         elif not known.derivation.derived:
             missing = "too little of the asset was recognized in the suspect"
         elif doubtful:
@@ -324,6 +324,13 @@ class _Needed(NamedTuple):
     z: float
     z_if_attested: float
     seen: bool  # whether the evidence is more than chance explains: then a mark like it would add up
+
+
+def _unmeasured(derivation: Derivation) -> str:
+    """Nothing of the suspect would show a watermark, were it there."""
+    if derivation.derived and derivation.views is not None:
+        return "the pictures show the asset, but too coarsely to measure a watermark: larger or clearer ones show more"
+    return "no part of the asset could be measured in the suspect"
 
 
 def _short(z: float, needed: _Needed, derivation: Derivation, config: ClaimConfig) -> str:

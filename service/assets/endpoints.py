@@ -148,14 +148,7 @@ def attested_record(service: Service, row: Any) -> str:
     data = service.blobs.read(row.record_sha256)
     with service.db.read() as connection:
         entry = registration_of(connection, row.id)
-        size = entry.index + 1  # the log as it stood then: what it proves does not depend on the time of the request
-        said = {
-            "header_sha256": header_digest(data),
-            "entry": entry.to_json(),
-            "size": size,
-            "root": audit.root(connection, size),
-            "proof": audit.inclusion_proof(connection, entry.index, size),
-        }
+        said = {"header_sha256": header_digest(data), **audit.proven(connection, entry)}
         statement = sign(connection, service.master, canonical(said), REGISTRATION)
     with service.blobs.new_file() as file:
         file.write_bytes(attach(data, Attestation(LOG, statement)))

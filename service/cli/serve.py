@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import resource
+import select
 import socket
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from engine.cli.console import Console
 from engine.cli.options import Json
 from engine.errors import InputError
 from service.cli import log
+from service.problems import Problem
 
 if TYPE_CHECKING:
     from service.core import Service
@@ -25,6 +28,11 @@ if TYPE_CHECKING:
 
 RESTART_SECONDS = 1.0
 SPARE_FILES = 256
+
+FIRST_PAUSE_SECONDS, LONGEST_PAUSE_SECONDS = 0.5, 10.0
+"""Between two attempts to reach the database server; each pause is twice the one before."""
+
+_log = logging.getLogger(__name__)
 
 
 def serve(
@@ -62,7 +70,7 @@ def serve(
     count = settings.workers if workers is None else workers
     lock = hold(settings.data_dir, "serve") if count else None  # before a database is opened, which changes it
     _check_free(host, port)
-    settings, service = start(console, may_make=True)
+    settings, service = start(console, may_make=True, patience=settings.database_wait_seconds)
     if (signer := signer_of(settings)) is not None:  # what is wrong with it is said now, not at the first download
         require()
         until = f"{signer.certificate.not_valid_after_utc:%Y-%m-%d}"
@@ -107,7 +115,8 @@ def worker(
     from service.worker import run_worker
 
     log.set_up()
-    _, service = start(Console(machine=False))
+    patience = settings_of().database_wait_seconds
+    _, service = start(Console(machine=False), patience=patience, die_with_parent=die_with_parent)
     run_worker(service, name, die_with_parent)
 
 
@@ -142,20 +151,36 @@ def settings_of() -> Settings:
         raise InputError(f"MARK3DGS_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
 
 
-def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
-    """Open the service; the first start makes its keys and prints a note. InputError where there is none to open."""
-    from service.core import Service
-    from service.db import Database
-    from service.trust.api_keys import FIRST_TENANT, issue_first
-    from service.trust.signing import ensure_key
+def start(
+    console: Console, *, may_make: bool = False, patience: float = 0.0, die_with_parent: bool = False
+) -> tuple[Settings, Service]:
+    """Open the service; the first start makes its keys and prints a note. InputError where there is none to open.
+
+    A database server that does not answer is waited for, `patience` seconds at most (then TimeoutError); one that
+    refuses these settings is an InputError at once. With `die_with_parent` the wait ends when standard input does.
+    """
+    from service.db.database import refusal, server_of
+    from service.trust.api_keys import FIRST_TENANT
 
     settings = settings_of()
-    if not may_make and not Database(settings.database()).exists:
-        place = "MARK3DGS_DATABASE_URL" if settings.database_url else str(settings.data_dir)
-        raise InputError(f"there is no service in {place}: 'mark3dgs serve' or 'mark3dgs init' makes one")
-    service = Service.open(settings)
-    ensure_key(service.db, service.master)
-    token = issue_first(service.db, service.master, FIRST_TENANT, "first admin key")
+    until, pause = time.monotonic() + patience, FIRST_PAUSE_SECONDS
+    while True:
+        try:
+            service, token = _open(settings, may_make)
+            break
+        except Problem as problem:
+            if problem.kind != "unavailable" or not settings.database_url:
+                raise
+            server = f"the database server at {server_of(settings.database_url)}"
+            if said := refusal(problem):
+                raise InputError(f"{server} refuses MARK3DGS_DATABASE_URL: {said}") from None
+            text = f"{server} does not answer: start it, or correct MARK3DGS_DATABASE_URL"
+            if time.monotonic() + pause > until:
+                raise TimeoutError(f"{text} (waited for {patience:g} s)" if patience else text) from None
+            _log.warning("%s; the next attempt follows in %g s", text, pause)
+        if select.select([sys.stdin] if die_with_parent else [], [], [], pause)[0]:
+            sys.exit()
+        pause = min(2 * pause, LONGEST_PAUSE_SECONDS)
     if token is not None:
         console.note("First start: the master key, the signing key and one admin API key were made.")
         if settings.master_key is None:
@@ -169,6 +194,21 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
         if not settings.public_url:
             console.note("  address      none in claims and links: enter it on the page, or set MARK3DGS_PUBLIC_URL")
     return settings, service
+
+
+def _open(settings: Settings, may_make: bool) -> tuple[Service, str | None]:
+    """The service, and its first API key where this made it."""
+    from service.core import Service
+    from service.db import Database
+    from service.trust.api_keys import FIRST_TENANT, issue_first
+    from service.trust.signing import ensure_key
+
+    if not may_make and not Database(settings.database()).exists:
+        place = "MARK3DGS_DATABASE_URL" if settings.database_url else str(settings.data_dir)
+        raise InputError(f"there is no service in {place}: 'mark3dgs serve' or 'mark3dgs init' makes one")
+    service = Service.open(settings)
+    ensure_key(service.db, service.master)
+    return service, issue_first(service.db, service.master, FIRST_TENANT, "first admin key")
 
 
 def _hand_over(console: Console, token: str, path: Path) -> None:

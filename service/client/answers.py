@@ -81,12 +81,13 @@ class Embedded:
     asset_id: str
     record_id: str
     message: str  # hexadecimal
-    psnr_worst_view: float  # dB, against the unmarked render
+    psnr_worst_view: float  # dB of the watermark alone, without pruning
     ssim_worst_view: float
     gaussians: int
     seconds: float
     already_carries: list[str]  # the tenant's own assets whose mark the model carried before
-    psnr_as_written: float | None = None  # dB of the file read back, against the original: with a format's rounding
+    psnr_total_worst_view: float | None = None  # dB against the original, with pruning
+    psnr_as_written: float | None = None  # the same of the file read back: with a format's rounding
     not_screened: int = 0  # copies that it resembles and that were not looked for, since they are too many
 
 

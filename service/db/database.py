@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 Ts = TypeVarTuple("Ts")
 _log = logging.getLogger(__name__)
 _LOCK = 0x6D61726B  # "mark"
+_REFUSED = re.compile(
+    r"(?:FATAL|fe_sendauth): *"
+    r"(.*(?:authentication failed|does not exist|no password|pg_hba\.conf|permission denied|not permitted).*)"
+)
 BUSY_MILLISECONDS = 15_000
 POSTGRES_CONNECT = {
     "connect_timeout": 3,
@@ -138,6 +143,22 @@ def take_write_lock(connection: sa.Connection) -> None:
     """
     if connection.dialect.name == "postgresql":
         connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK)))
+
+
+def server_of(url: str) -> str:
+    """Host and port of a PostgreSQL URL: never its password."""
+    address = sa.make_url(url)
+    return f"{address.host or 'localhost'}:{address.port or 5432}"
+
+
+def refusal(problem: Problem) -> str:
+    """What a server said that answers and will never accept these settings; "" where waiting may help.
+
+    libpq gives no code of a failed connection, only a text, in the server's language: one that is not known here is
+    waited out.
+    """
+    found = _REFUSED.search(str(problem.__cause__))
+    return found[1] if found else ""
 
 
 def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:

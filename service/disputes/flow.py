@@ -64,11 +64,4 @@ def _logged(connection: sa.Connection, tenant: str, document: Mapping[str, Any])
     if entry is None:
         payload = {"assets": document["assets"], "digest": digest(document["finding"])}
         entry = audit.append(connection, tenant, SETTLED, payload, document["dispute_id"])
-    size = entry.index + 1
-    return {
-        "entry": entry.to_json(),
-        "index": entry.index,
-        "size": size,
-        "root": audit.root(connection, size),
-        "proof": audit.inclusion_proof(connection, entry.index, size),
-    }
+    return {"index": entry.index, **audit.proven(connection, entry)}

@@ -29,7 +29,7 @@ HELD = (
 )
 
 
-MEASURED = ("psnr_worst_view", "psnr_as_written", "ssim_worst_view", "seconds")
+MEASURED = ("psnr_worst_view", "psnr_total_worst_view", "psnr_as_written", "ssim_worst_view", "seconds")
 
 
 class Screening(TypedDict):

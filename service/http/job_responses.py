@@ -159,6 +159,7 @@ def wait_seconds(prefer: str | None) -> int:
 # service"); larger models move shares by a tenth.
 _EMBED = {"screen": 5, "read": 1, "choose": 0, "look": 14, "prune": 1, "quantize": 2, "landmarks": 46, "plan": 20}
 _EMBED |= {"mark": 7, "record": 1, "write": 1, "picture": 2, "commit": 0}
+_PRUNED = {"prune": 600}  # by a budget: what is left is fitted to the original's renders
 _AUTO = _EMBED | {"choose": 37, "look": 1, "plan": 5, "mark": 2}
 _MODEL = {"screen": 10, "read": 1, "open record": 5, "register": 17, "model": 8, "decide": 4, "picture": 55}
 _MODEL |= {"commit": 0}
@@ -177,6 +178,7 @@ def course(job: Job) -> float | None:
         return None
     chosen = job.request.get("profile") == "auto"
     shares = (_AUTO if chosen else _EMBED) if job.kind == "embed" else _PICTURE if pictures else _MODEL
+    shares = shares | _PRUNED if job.request.get("budget") else shares
     stage = job.stage.partition(": ")[0]  # what is reached may follow
     if stage not in shares:  # kernels are compiled, or one of several records is tested
         return None

@@ -25,6 +25,7 @@ _EMBEDDED: JsonValue = {
     "message": "8be81eaf",
     "gaussians": 113648,
     "psnr_worst_view": 47.04,
+    "psnr_total_worst_view": 47.04,
     "psnr_as_written": 46.31,
     "ssim_worst_view": 0.9985,
     "seconds": 10.5,
@@ -67,11 +68,14 @@ class EmbedResult(TypedDict):
     record_id: str
     message: Annotated[str, Field(description="The registered bits, hexadecimal.")]
     gaussians: int
-    psnr_worst_view: Annotated[float, Field(description="dB, against the unmarked render.")]
-    psnr_as_written: NotRequired[  # a step of before has none
-        Annotated[float, Field(description="dB of the file read back, against the original: with a format's rounding.")]
+    psnr_worst_view: Annotated[float, Field(description="dB of the watermark alone, without pruning; worst key view.")]
+    psnr_total_worst_view: NotRequired[  # a step of before has none
+        Annotated[float, Field(description="dB against the original, with pruning (`budget`); worst key view.")]
     ]
-    ssim_worst_view: float
+    psnr_as_written: NotRequired[
+        Annotated[float, Field(description="The same of the file read back, in that view: with a format's rounding.")]
+    ]
+    ssim_worst_view: Annotated[float, Field(description="Of the watermark alone; worst key view.")]
     seconds: float
     already_carries: Annotated[list[str], Field(description="Assets of yours whose mark the model carried before.")]
     not_screened: Annotated[int, Field(description="Similar copies of yours, too many to check all: not checked.")]

@@ -242,14 +242,20 @@ class Worker:
         _log.info("worker %s is ready", self.name)
 
     def _until_it_works(self, call: Callable[[], Any]) -> None:
-        """The database may start later than we do."""
+        """The database may go away while we start: for as long as it is waited for before."""
+        patience, wait = self._settings.database_wait_seconds, _FIRST_WAIT_SECONDS
+        until = time.monotonic() + patience
         while not self._stopping.is_set():
             try:
                 call()
                 return
             except Exception as error:
+                if time.monotonic() > until:
+                    _log.error("worker %s ends: it could not start within %g s: %s", self.name, patience, error)
+                    self._end(1)
                 _log.warning("worker %s cannot start yet: %s", self.name, error)
-            self._stopping.wait(BEAT_SECONDS)
+            self._stopping.wait(wait)
+            wait = min(2 * wait, _LONGEST_WAIT_SECONDS)
         self._end()
 
     def _beat(self) -> None:
@@ -283,7 +289,7 @@ class Worker:
             pass
         self._stopping.set()
 
-    def _end(self) -> NoReturn:
+    def _end(self, status: int = 0) -> NoReturn:
         """End as a killed worker would, but announced: a live worker takes up our job at its last finished step."""
         self._children.stop()
         last_words = threading.Thread(target=self._leave, daemon=True)
@@ -292,7 +298,7 @@ class Worker:
         shutil.rmtree(_scratch(self._settings, self.name), ignore_errors=True)
         _log.info("worker %s ends", self.name)
         logging.shutdown()
-        os._exit(0)
+        os._exit(status)
 
     def _leave(self) -> None:
         try:

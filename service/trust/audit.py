@@ -94,6 +94,13 @@ def consistency_proof(connection: sa.Connection, first: int, size: int) -> list[
     return [step.hex() for step in proof]
 
 
+def proven(connection: sa.Connection, entry: Entry) -> dict[str, Any]:
+    """An entry and its proof under the root of the log as it stood then, whatever has come since."""
+    size = entry.index + 1
+    proof = inclusion_proof(connection, entry.index, size)
+    return {"entry": entry.to_json(), "size": size, "root": root(connection, size), "proof": proof}
+
+
 def find(connection: sa.Connection, event: str, subject: str) -> Entry | None:
     """The first entry of this event about this subject."""
     query = audit.select().where(audit.c.event == event, audit.c.subject == subject)

@@ -91,7 +91,7 @@ def commit_claim(
         proof = audit.consistency_proof(connection, first, size)
         return {"size": first, "root": audit.root(connection, first), "proof": proof}
 
-    place = {"index": entry.index, "size": size, "root": audit.root(connection, size), **proven(entry)}
+    place = {"index": entry.index, **audit.proven(connection, entry)}
     place["earlier"] = [begun(index + 1) for index in sorted(index for index in ends if index is not None)]
     named = {"registration": registration, "first_registration": first, "acquisition": acquisition}
     return place | {name: proven(logged) if logged is not None else None for name, logged in named.items()}

@@ -15,9 +15,9 @@ from engine.scenes.scene_files import output_of
 from engine.usecases.mark import MarkOutput, MarkRequest, mark
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import message_signs
-from service.work.inputs import check_model, load_cameras, name_of
+from service.work.inputs import check_model, load_cameras
 from service.work.pictures import draw_preview
-from service.work.process import Parent, Reply, Request
+from service.work.process import Parent, Reply, Request, name_of
 
 
 def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from PIL import ExifTags, Image
 
@@ -13,7 +13,7 @@ from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, 
 from engine.model import Camera, Float32
 from engine.scenes.scene_files import Loaded, read_suspect
 from service.problems import Problem
-from service.work.process import Request
+from service.work.process import Request, name_of
 
 MOST_PICTURES = 64
 
@@ -23,13 +23,6 @@ def load_model(request: Request) -> Loaded:
     loaded = read_suspect(request["model"], name=name_of(request), spz_frame=request.get("spz_frame") or "auto")
     check_model(loaded)
     return loaded
-
-
-def name_of(request: Request) -> str:
-    """What a request's model is called by its sender, without folders and control characters: some formats are known
-    by their ending alone. "the model" where it has no name."""
-    name = PurePosixPath(str(request.get("name") or "").replace("\\", "/")).name
-    return "".join(letter for letter in name if letter.isprintable())[-200:] or "the model"
 
 
 def check_model(loaded: Loaded) -> None:

@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Protocol, TextIO
 
 from engine.errors import CameraError, CapacityError, FormatError, InputError, KeyFileError
@@ -167,9 +167,18 @@ def describe(error: BaseException, request: Mapping[str, Any] | None = None) -> 
     of the client's.
     """
     plain = _describe(error)
+    if isinstance(error, FormatError):  # its message goes on from the name of the file
+        plain["detail"] = f"{name_of(request or {})}: {plain['detail']}"
     for path in sorted(_paths(request or {}), key=len, reverse=True):
         plain["detail"] = plain["detail"].replace(path, PurePath(path).name)
     return plain
+
+
+def name_of(request: Request) -> str:
+    """What a request's model is called by its sender, without folders and control characters: some formats are known
+    by their ending alone. "the model" where it has no name."""
+    name = PurePosixPath(str(request.get("name") or "").replace("\\", "/")).name
+    return "".join(letter for letter in name if letter.isprintable())[-200:] or "the model"
 
 
 def _describe(error: BaseException) -> Json:

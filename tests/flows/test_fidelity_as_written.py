@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.compress.pruning import PruneConfig
 from engine.flows.embed.profiles import profile
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.opened_record import open_record
@@ -21,12 +22,12 @@ from tests.scenes import sparse_plant
 KEY = OwnerKey(bytes(range(32)))
 
 
-def marked(folder: Path, kind: str) -> MarkAnswer:
+def marked(folder: Path, kind: str, budget: float | None = None) -> MarkAnswer:
     """A plant that looks different from every side, marked into a file of this kind."""
     model = read_model(sparse_plant("ply")).model
     rest = np.random.default_rng(3).normal(0.0, 0.4, (len(model), 3, 3))
     write_model(model.with_(sh=np.concatenate([model.sh, rest], axis=1)), folder / "scene.ply")
-    config = profile("fast", landmark_views=0)
+    config = profile("fast", landmark_views=0, prune=PruneConfig(budget_db=budget, recover=False))
     output = {"": MarkOutput(folder / f"marked.{kind}", folder / "marked.record")}
     terms = MarkTerms(config=config)
     request = MarkRequest(model=folder / "scene.ply", key=KEY, outputs=output, terms=terms, format=kind)
@@ -42,6 +43,19 @@ def test_what_a_format_drops_is_in_the_fidelity_told(tmp_path: Path) -> None:
     told = made.report.psnr_as_written
     assert min(abs(told - each) for each in seen) < 1e-3, "that of one of the key views"
     assert told < made.report.embedding.psnr_total_worst_view - 10, "the harmonics are gone"
+
+
+def test_what_was_pruned_is_in_the_fidelity_told(tmp_path: Path) -> None:
+    """In the view that shows most of all losses; another one shows most of the mark alone."""
+    made = marked(tmp_path, "spz", budget=30.0)
+    original, file = read_model(tmp_path / "scene.ply").model, read_model(tmp_path / "marked.spz").model
+    opened = open_record((tmp_path / "marked.record").read_bytes(), KEY)
+    before, after = (
+        [psnr(render(original, camera), render(model, camera)) for camera in opened.cameras]
+        for model in (made.embedding.model, file)
+    )
+    assert made.report.embedding.psnr_total_worst_view == pytest.approx(min(before), abs=1e-3)
+    assert made.report.psnr_as_written == pytest.approx(after[int(np.argmin(before))], abs=1e-3)
 
 
 def test_a_file_that_holds_all_is_not_drawn_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ bodies     1,100 POSTs at a time that drip, without an API key
 fairness   another tenant's embed and lists beside 600 verifications and 44 conversions
 copies     the oldest of many copies of one asset: found among all, and in a stranger's embed
 oracle     what an uploader can learn of another owner's mark from its own embeds: AUC over so many questions
+looking    processor time of looking for another owner's mark: with the mark in the upload, and without
 scale      two API processes, three workers, PostgreSQL, S3: throughput; workers killed, the database restarted
 kill       kill -9 of worker, API or both at random moments of embeds: nothing acknowledged may be lost or doubled
 
@@ -36,7 +37,7 @@ from engine.lab.evaluate.machine import machine_info
 from tests.service import serving
 from tests.service.measure_kills import kill
 from tests.service.measure_load import bodies, copies, fairness
-from tests.service.measure_oracle import oracle
+from tests.service.measure_oracle import looking, oracle
 from tests.service.measure_scale import scale
 from tests.service.measuring import FINAL, PLANT, client_of, resident_mb, wait_for
 
@@ -223,6 +224,7 @@ WHAT = {
     "copies": copies,
     "kill": kill,
     "oracle": oracle,
+    "looking": looking,
     "scale": scale,
 }
 

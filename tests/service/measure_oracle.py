@@ -23,11 +23,13 @@ import numpy.typing as npt
 from engine.formats import encode_model, read_model
 from engine.watermark.keys import OwnerKey
 from service.client import Client
+from service.work.tasks import TASKS
 from tests.service import serving
 from tests.service.flow.commands import token_of
 from tests.service.measuring import FINAL, PLANT
 
 BLOCK = 5
+COPIES = 4
 POLL_S = 0.1  # a job's own times are exact, to the microsecond
 FIDELITY = ("psnr_worst_view", "psnr_as_written", "ssim_worst_view")
 KINDS = ("marked", "original", "unrelated")
@@ -92,6 +94,60 @@ def oracle(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         name: [float(np.median(table[label == k, n])) for k in range(len(kinds))] for n, name in enumerate(names)
     }
     return found | {"medians": medians}
+
+
+def looking(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """Processor time of looking for another owner's mark, as the job that follows an embed does, by whether the upload
+    has it: what a queue could reveal at most. Steady on a busy machine, where times by the clock are not."""
+    original, random = folder / "scene.splat", np.random.default_rng(args.seed)
+    original.write_bytes(_splat(SCENE))
+    sought = {name: _copies(original, folder / name, random.bytes(32).hex()) for name in KINDS[:2]}
+    model = Path(sought["marked"][0]["model"]).read_bytes()
+    return {f"{count} copies": _looked(folder, sought, model, count, args) for count in (1, COPIES)}
+
+
+def _copies(original: Path, folder: Path, key: str) -> list[dict[str, str]]:
+    """Candidates: copies of one original under one key."""
+    made = list[dict[str, str]]()
+    for number in range(COPIES):
+        (home := folder / str(number)).mkdir(parents=True)
+        request = {"model": str(original), "message": None, "profile": "fast", "format": "splat", "key": key}
+        request |= {"copy": f"copy {number}", "earlier": made[0]["record"] if made else ""}
+        files = TASKS["embed"](request, home, _silent)["files"]
+        paths = {name: str(home / files[name]) for name in ("model", "record")}
+        made.append({"asset": str(number), "original": "scene", "key": key, **paths})
+    return made
+
+
+def _looked(
+    folder: Path, sought: dict[str, list[dict[str, str]]], model: bytes, count: int, args: argparse.Namespace
+) -> dict[str, Any]:
+    random, upload = np.random.default_rng(args.seed), folder / "upload.splat"
+    seconds: list[list[float]] = [[], []]
+    found = [0, 0]
+    for number in range(-3, args.questions):  # the first compile
+        upload.write_bytes(_changed(model, random))
+        for which in random.permutation(2):
+            began = time.process_time()
+            request = {"model": str(upload), "candidates": sought[KINDS[which]][:count]}
+            carried = TASKS["marks"](request, folder, _silent)["carries"]
+            if number >= 0:
+                seconds[which].append(time.process_time() - began)
+                found[which] += len(carried)
+    times = np.array(seconds)
+    differences = times[0] - times[1]
+    return {
+        "uploads": args.questions,
+        "marks_found": dict(zip(KINDS, found, strict=False)),
+        "median_cpu_s": dict(zip(KINDS, map(float, np.median(times, axis=1)), strict=False)),
+        "mean_difference_s": float(differences.mean()),
+        "standard_error_s": float(differences.std() / np.sqrt(len(differences))),
+        "auc": _auc(times.ravel(), np.repeat([1, 0], times.shape[1])),
+    }
+
+
+def _silent(stage: str, fraction: float) -> None:
+    """Progress of a task that nobody follows."""
 
 
 def _splat(path: Path) -> bytes:

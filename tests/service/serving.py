@@ -60,9 +60,7 @@ def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str)
     settings
         Environment variables without their prefix, such as TSA_URL.
     """
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     log = folder / "log.txt"
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MARK3DGS_")}
     environment |= {"MARK3DGS_DATA_DIR": str(folder / "data")}
@@ -81,6 +79,13 @@ def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str)
         api_key = (folder / "data" / "admin.key").read_text().strip()
         assert "mk_" not in log.read_text(), "the log is no place for a key"
     return Served(address, api_key, folder, process)
+
+
+def free_port() -> int:
+    """A port of loopback that nothing listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def wait_until_up(process: subprocess.Popen[bytes], address: str, log: Path) -> None:

@@ -256,6 +256,9 @@ def test_no_evidence_at_all() -> None:
     assert found.verdict is Verdict.INCONCLUSIVE
     assert "no part of the asset" in found.missing
     assert (found.z, found.confidence, found.matching_bits, found.bit_accuracy) == (0, 0, 0, 0)
+    shown = Circumstances(1, "image", derivation=Derivation(True, views=(1, 1)))
+    found = decide(Evidence(zero, zero, zero), SPREADING, MESSAGE, shown)
+    assert "the pictures show the asset, but too coarsely" in found.missing
 
 
 def test_tries_raise_the_bar() -> None:

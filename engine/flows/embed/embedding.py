@@ -31,7 +31,7 @@ from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.draw import stamps_extra
 from engine.flows.records.opened_record import ORIGIN
-from engine.flows.views.view_set import SeenView, worst_psnr_against
+from engine.flows.views.view_set import SeenView, psnr_by_view
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
@@ -82,7 +82,7 @@ class Embedding:
     record: Record  # what the owner keeps
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
     report: EmbedReport
-    worst_view: SeenView  # the original in the key view that shows most of the mark
+    worst_view: SeenView  # the original in the key view of `psnr_total_worst_view`
     seen: SeenPoints | None  # what an index of many assets keeps of its looks
 
 
@@ -232,9 +232,10 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
             copy=copy,
             registered_at=terms.registered_at,
         )
-        total = fidelity.psnr_db
+        shown, total = fidelity.view, fidelity.psnr_db
         if delivery.model is not asset.original.model:
-            total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
+            seen = psnr_by_view(asset.original.views.images, ground.cameras, marked, variant.at_view)
+            shown, total = int(np.argmin(seen)), min(seen)
     predicted = predict_claim(plan.energies * ground.picture_scale)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
@@ -257,7 +258,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         seconds=clock.total,
         seconds_by_stage=clock.seconds,
     )
-    worst = SeenView(ground.cameras[fidelity.view], asset.original.views.images[fidelity.view])
+    worst = SeenView(ground.cameras[shown], asset.original.views.images[shown])
     return Embedding(marked, record, settings, report, worst, asset.seen)
 
 

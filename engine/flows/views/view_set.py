@@ -70,13 +70,15 @@ def worst_psnr_against(
 ) -> Callable[[GaussianModel], float]:
     """Function from a candidate model to its worst view's PSNR against given renders."""
 
-    def measure(candidate: GaussianModel) -> float:
-        frames = (candidate if at_view is None else at_view(candidate, k) for k in range(len(cameras)))
-        return min(
-            psnr(image, render(frame, camera)) for image, frame, camera in zip(images, frames, cameras, strict=True)
-        )
+    return lambda candidate: min(psnr_by_view(images, cameras, candidate, at_view))
 
-    return measure
+
+def psnr_by_view(
+    images: Sequence[Float32], cameras: Sequence[Camera], model: GaussianModel, at_view: AtView | None = None
+) -> list[float]:
+    """dB of a model against given renders, of each."""
+    frames = (model if at_view is None else at_view(model, k) for k in range(len(cameras)))
+    return [psnr(image, render(frame, camera)) for image, frame, camera in zip(images, frames, cameras, strict=True)]
 
 
 def early_stop(model: GaussianModel, tau: float) -> EarlyStop:

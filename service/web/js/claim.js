@@ -61,7 +61,7 @@ function morePictures(claim, add) {
     button.disabled = false;
   };
   const many = claim.subject.sha256.length;
-  const form = h("form", { class: "card", onsubmit: send }, h("h2", {}, "Add pictures"),
+  const form = h("form", { class: "card narrow", onsubmit: send }, h("h2", {}, "Add pictures"),
     h("p", { class: "help" }, `They are read together with the ${many === 1 ? "picture" : `${many} pictures`} of this check. Other views of the same copy add evidence; the same picture again does not.`),
     zone, problem, button);
   dropZone(zone, () => problem.replaceChildren());

@@ -5,7 +5,7 @@ const STAGES = {
   screen: "Searching for an existing watermark",
   inspect: "Searching for an existing watermark",
   compile: "Compiling kernels",
-  read: "Reading the model",
+  read: "Reading the file",
   look: "Rendering the key views",
   choose: "Choosing the settings",
   prune: "Pruning to the quality budget",

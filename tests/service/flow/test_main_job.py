@@ -53,6 +53,7 @@ def test_marked_and_registered(
     asset = alice.asset(marked.asset_id)
     assert (asset.copy_name, asset.label, asset.model_format) == ("acme", "Potted plant", "splat")
     assert marked.psnr_worst_view >= 47.0
+    assert marked.psnr_total_worst_view == marked.psnr_worst_view, "nothing was pruned"
     preview = raw.get(f"/v1/assets/{marked.asset_id}/preview.png").content
     assert preview.startswith(b"\x89PNG")
     whole = raw.get(f"/v1/assets/{marked.asset_id}/model")

@@ -48,6 +48,12 @@ def test_kinds(error: Exception, kind: str, extra: dict[str, Any]) -> None:
     assert plain["detail"]
 
 
+def test_what_cannot_be_read_is_called_by_its_name() -> None:
+    assert describe(FORMAT)["detail"] == "the model: element 'vertex', row 7, property 'x': is NaN"
+    named = {"model": "/data/blob/ab/abcdef", "name": "scans/pot.ply"}
+    assert describe(FormatError("is empty", file=named["model"]), named)["detail"] == "pot.ply: is empty"
+
+
 def test_what_a_bug_says_stays_here() -> None:
     assert "secret" not in describe(ZeroDivisionError("secret"))["detail"]
 

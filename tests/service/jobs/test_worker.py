@@ -12,10 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from service.db import Database
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, State
 from service.jobs.runner import MAX_TRIES
 from service.problems import Problem
-from service.settings import DATABASE, JOBS_DATABASE
+from service.settings import DATABASE, JOBS_DATABASE, Settings
+from tests.service import serving
 from tests.service.jobs.conftest import Workshop, new_settings, opened
 from tests.service.jobs.test_child import gone_within, pid_in
 from tests.service.postgres import Postgres
@@ -276,6 +279,18 @@ def test_a_database_outage_is_waited_out(request: pytest.FixtureRequest, tmp_pat
         assert worker.poll() is None
         shop.submit("b", "three")
         assert shop.ended("b").state == State.SUCCEEDED
+
+
+def test_a_worker_that_never_reaches_its_database_ends(tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path, database_url=f"postgresql://nobody@127.0.0.1:{serving.free_port()}/nothing")
+    db = Database(settings.database())
+    shop = Workshop(settings, DurableJobs(db, settings.jobs_database()), tmp_path)
+    worker = shop.start("one", database_wait_seconds=1)
+    assert worker.wait(120) == 1
+    said = shop.log.read_text()
+    assert said.count("worker one cannot start yet") >= 2
+    assert "it could not start within 1 s: the database does not answer" in said
+    db.close()
 
 
 def taken_from_the_queue(shop: Workshop, job_id: str, worker: str) -> None:

@@ -274,3 +274,8 @@ def test_what_marking_found_is_said_beside_the_model(page: Page, served: Served)
     found = page.evaluate(said, [plain, {"already_carries": [], "not_screened": 0}])
     assert "already carried" not in found
     assert "looked for" not in found
+    assert "alone" not in found
+    plain["report"] |= {"psnr_worst_view": 47.2, "psnr_total_worst_view": 36.9}
+    found = page.evaluate(said, [plain, {}])
+    assert "47.2 dBPSNR of the watermark alone" in found
+    assert "36.9 dBPSNR with pruning" in found

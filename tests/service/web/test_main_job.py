@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from engine.cli.app import run
 from tests.scenes import sparse_plant
@@ -127,3 +128,14 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     shot = tmp_path / "shot.png"
     assert run(["render", str(marked), str(shot)]) == 0
     assert check(page, shot) == "Watermark found", json.dumps(page.locator("#check-result").inner_text())
+
+    # 9. a picture that shows too little, and then another one beside it
+    weak, further = tmp_path / "weak.jpg", tmp_path / "further.png"
+    Image.open(shot).convert("RGB").resize((200, 150), Image.Resampling.LANCZOS).save(weak, quality=15)
+    assert run(["render", str(marked), str(further), "--view", "9"]) == 0
+    assert check(page, weak) == "Inconclusive"
+    shoot(page, "claim-short-for-real")
+    page.get_by_label("Further pictures").set_input_files(further)
+    page.get_by_role("button", name="Check all pictures together").click()
+    page.get_by_role("heading", name="Watermark found").wait_for(timeout=LONG)
+    page.locator("figcaption", has_text="Suspect").get_by_text("weak.jpg and 1 more").wait_for()

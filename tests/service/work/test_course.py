@@ -68,6 +68,13 @@ def test_a_choice_takes_its_time() -> None:
     assert chosen > 0.35
 
 
+def test_pruning_to_a_budget_takes_its_time() -> None:
+    assert at("embed", "prune", 1.0, budget=None) == at("embed", "prune", 1.0) == at("embed", "quantize", 0.0)
+    half = at("embed", "prune: 36.7 dB", 0.5, budget=35.0)
+    assert half is not None
+    assert 0.4 < half < 0.5
+
+
 def test_what_nobody_knows_is_not_said() -> None:
     assert at("embed", "", 0.5, State.QUEUED) == 0.0
     assert at("embed", "look", 0.5, State.SUCCEEDED) == at("embed", "look", 0.5, State.DISPUTED) == 1.0
