@@ -59,7 +59,7 @@ quick: $(STAMP)
 	$(PYTEST) -m 'not docker and not lab and not slow and not long' $(addprefix tests/,$(UNITS))
 
 core-test: $(STAMP)
-	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install
+	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install tests/end_to_end/test_cli_machines.py
 
 lab-test: $(STAMP) kernels
 	$(PYTEST) -m "not docker and not long" tests/lab
