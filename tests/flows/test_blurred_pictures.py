@@ -54,14 +54,7 @@ def defocused(image: Float32, sigma: float) -> Float32:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("blur", "strength", "page"),
-    [
-        (moved, 10.0, 0.0),
-        (moved, 15.0, 1.0),
-        (defocused, 3.0, 1.0),
-    ],
-)
+@pytest.mark.parametrize(("blur", "strength", "page"), [(moved, 10.0, 0.0), (moved, 15.0, 1.0), (defocused, 3.0, 1.0)])
 def test_a_blurred_picture_claims_by_itself(
     with_landmarks: OpenedRecord,
     scene: MarkedScene,
