@@ -59,7 +59,7 @@ def start(folder: Path, *, workers: int = 1, api_key: str = "", lean: bool = Fal
     api_key : str
         Of an earlier start; the first start writes its own to a file.
     lean : bool
-        The profile "fast" is a lean one (see lean/sitecustomize.py), for tests that ask nothing of pictures or fidelity.
+        The profile "fast" is a lean one (see lean/sitecustomize.py), for tests that ask nothing of pictures.
     settings
         Environment variables without their prefix, such as TSA_URL.
     """

@@ -1,5 +1,5 @@
 """Imported by every process of a service that a test starts with `lean=True`: there the profile "fast" looks at three
-small views and makes few landmarks, so that an embedding takes a fourth of its time. Such records know few screenshots."""
+small views and makes few landmarks, so that an embedding takes a fourth of its time. Such records know few pictures."""
 
 import sys
 from collections.abc import Sequence
