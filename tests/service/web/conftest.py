@@ -35,7 +35,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """`mark3dgs serve` with one worker in an empty folder."""
     if CHROMIUM is None:
         pytest.skip("the page is tested in Chromium, which is not here (Debian: apt-get install chromium)")
-    made = serving.start(tmp_path_factory.mktemp("served"))
+    made = serving.start(tmp_path_factory.mktemp("served"), lean=True)
     ask(made, "/v1/me", "PATCH", {"name": "Test Studio"})  # what the page asks first, else
     yield made
     made.stop()
