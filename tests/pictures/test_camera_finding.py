@@ -164,6 +164,15 @@ def test_same_camera_on_any_number_of_threads(plant: GaussianModel, bank: Landma
     assert one.camera.K.tobytes() == two.camera.K.tobytes()
 
 
+def test_a_picture_of_one_color_is_not_searched(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blank = np.full((240, 320, 3), np.float32([0.3, 0.5, 0.2]))
+    blank[::2] += np.float32(1 / 255)
+    monkeypatch.setattr("engine.pictures.camera.camera_search.Picture", lambda *_: pytest.fail("it searches"))
+    assert find_camera(bank, plant, blank) is None
+
+
 def test_other_pictures_are_not_recognised(plant: GaussianModel, bank: Landmarks) -> None:
     rng = np.random.default_rng(0)
     blocks = np.kron(rng.random((30, 40, 3)), np.ones((12, 12, 1))).astype(np.float32)
