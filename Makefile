@@ -19,7 +19,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # In the order of tests/conftest.py, longest files first; by default files of few tests, however long, would come last.
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-.PHONY: install demo test full quick core-test lab-test mutants results docker-test check kernels clean
+.PHONY: install demo test full quick core-test lab-test mutants results docker-test check kernels rewritten clean
 
 install: $(STAMP) kernels
 
@@ -46,20 +46,24 @@ check: $(STAMP)
 kernels: $(STAMP)
 	$(BIN)/python -m engine.cli.kernel_progress
 
+# Else each worker would rewrite the asserts of all tests: pytest keeps them beside the bytecode.
+rewritten: $(STAMP)
+	$(BIN)/python -m pytest --collect-only -qq >/dev/null || true  # the tests will tell
+
 test: $(STAMP)
-	$(MAKE) --jobs=2 --output-sync check kernels
+	$(MAKE) --jobs=2 --output-sync check kernels rewritten
 	$(PYTEST)
 
 full: $(STAMP)
-	$(MAKE) --jobs=2 --output-sync check kernels
+	$(MAKE) --jobs=2 --output-sync check kernels rewritten
 	$(PYTEST) -m 'not docker'
 
 quick: $(STAMP)
-	$(MAKE) --jobs=2 --output-sync check kernels
+	$(MAKE) --jobs=2 --output-sync check kernels rewritten
 	$(PYTEST) -m 'not docker and not lab and not slow and not long' $(addprefix tests/,$(UNITS))
 
 core-test: $(STAMP)
-	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install
+	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install tests/end_to_end/test_cli_machines.py
 
 lab-test: $(STAMP) kernels
 	$(PYTEST) -m "not docker and not long" tests/lab

@@ -11,42 +11,60 @@ import pytest
 from engine.flows.verify.config import CONFIG
 
 TESTS = Path(__file__).parent
-PAGE = "tests/service/web/"
+TOGETHER = tuple(
+    f"tests/{name}/" for name in ("service/web", "end_to_end", "service/work", "service/api", "architecture")
+)
+"""Folders whose tests go to one worker each: they share a service, a marked model or the parsed tree."""
 STARTED_FIRST = (
     "service/web",
-    "service/jobs/test_worker.py",
+    "end_to_end",
+    "service/work",
+    "service/api",
     "service/flow/test_main_job.py",
-    "theory/test_blind.py",
-    "registration/test_deformed.py",
-    "service/flow/test_backup.py",
     "flows/test_verification.py",
-    "pictures/test_cropped_cameras.py",
-    "service/flow/test_faults.py",
-    "catalogue/test_catalogue.py",
     "pictures/test_camera_finding.py",
-    "service/work/test_evidence_pictures.py",
+    "service/jobs/test_worker.py",
+    "theory/test_blind.py",
+    "flows/test_dispute.py",
     "registration/test_registering.py",
-    "end_to_end/test_cli_main_job.py",
-    "service/jobs/test_turns.py",
-    "flows/test_coded_pictures.py",
-    "service/flow/test_upgrade.py",
-    "flows/test_tracing.py",
-    "flows/test_looking.py",
-    "flows/test_bent_pictures.py",
-    "pictures/test_residual.py",
-    "kernels/test_native_check.py",
-    "service/work/test_variants.py",
-    "registration/test_shares.py",
-    "service/flow/test_undrawable.py",
-    "architecture/test_imports.py",
-    "pictures/test_uneven_pixels.py",
-    "flows/test_candidates.py",
-    "flows/test_spending.py",
+    "pictures/test_cropped_cameras.py",
+    "architecture",
+    "catalogue/test_catalogue.py",
     "flows/test_embedding.py",
-    "end_to_end/test_cli_refusals.py",
+    "flows/test_changed_colors.py",
+    "flows/test_tracing.py",
+    "flows/test_merged_models.py",
+    "pictures/test_blur.py",
+    "pictures/test_residual.py",
+    "registration/test_deformed.py",
+    "pictures/test_light_and_tone.py",
+    "service/flow/test_draws.py",
+    "service/flow/test_upgrade.py",
+    "flows/test_spending.py",
+    "flows/test_bent_pictures.py",
+    "registration/test_shares.py",
+    "flows/test_coded_pictures.py",
+    "pictures/test_plain_ground.py",
+    "examples/test_examples.py",
+    "kernels/test_native_check.py",
+    "formats/test_usd.py",
+    "kernels/test_machine_code.py",
+    "flows/test_blurred_pictures.py",
+    "flows/test_candidates.py",
+    "flows/test_picture_layers.py",
+    "registration/test_merged.py",
+    "flows/test_mirrors.py",
+    "service/cli/test_one_service.py",
+    "pictures/test_uneven_pixels.py",
+    "pictures/test_view_climb.py",
+    "pictures/test_local_alignment.py",
+    "flows/test_chaff.py",
+    "service/jobs/test_turns.py",
+    "flows/test_looking.py",
+    "service/flow/test_faults.py",
 )
-"""Files of 20 s and more, longest first: a worker takes whole files, and a long one begun last is waited for alone. The
-page's tests go to one worker: they share a service, its model and its claim."""
+"""Folders and files of 20 s and more, longest first: a worker takes them whole, and a long one begun last is waited for
+alone."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Before BLAS and OpenMP are loaded, which look only once.
@@ -70,7 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Where a worker takes whole files, it takes those of the page together; None leaves xdist its own."""
+    """Where a worker takes whole files, it takes some folders whole; None leaves xdist its own."""
     if config.getoption("dist") != "loadfile":
         return None
 
@@ -78,7 +96,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     scheduling = LoadFileScheduling(config, log)
     file_of = scheduling._split_scope
-    scheduling._split_scope = lambda nodeid: PAGE if nodeid.startswith(PAGE) else file_of(nodeid)
+    scheduling._split_scope = lambda nodeid: next(filter(nodeid.startswith, TOGETHER), None) or file_of(nodeid)
     return scheduling
 
 

@@ -60,6 +60,7 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long  # it compiles every kernel: .ci/run does, beside the tests of installing
 def test_without_a_home_and_a_cache_the_mark_is_found(locked: Path, odd: Path) -> None:
     machine = {"HOME": "/nonexistent", "XDG_CACHE_HOME": "/nonexistent", "NUMBA_CACHE_DIR": str(locked)}
     mine = ("--key", odd / "k", "--record", odd / f"{ODD}.record")

@@ -30,6 +30,7 @@ def test_every_bit_is_read_by_the_papers_decoder(capsys: Capsys, tmp_path: Path)
     assert ask(capsys, "verify", scene, "--record", record, "--key", key)[0] in (3, 4), "the unmarked original"
 
 
+@pytest.mark.long
 def test_a_picture_is_drawn_with_an_early_stop(capsys: Capsys, tmp_path: Path) -> None:
     scene = tmp_path / "plant.splat"
     scene.write_bytes(sparse_plant())

@@ -40,7 +40,7 @@ def z(scene: MarkedScene, camera: Camera, image: Float32) -> float:
     return claim_of(scene, camera, image).z
 
 
-@pytest.mark.parametrize("kind", ["cut after, mirrored", "turned before"])
+@pytest.mark.parametrize("kind", ["cut after, mirrored", pytest.param("turned before", marks=pytest.mark.long)])
 def test_blocks_are_read_in_the_pictures_own_pixels(
     scene: MarkedScene, camera: Camera, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from engine.flows.dispute.dispute import Dispute, Party, settle
-from engine.flows.embed.embedding import embed
+from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import open_record
@@ -17,7 +18,7 @@ from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
 from engine.present.dispute_text import dispute_page, dispute_words
 from engine.present.numerals import PLAIN
-from engine.watermark.keys import CHIPS, signs
+from engine.watermark.keys import CHIPS, OwnerKey, signs
 from engine.watermark.rates import Attested
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
@@ -29,10 +30,15 @@ QUICK = profile("fast", landmark_views=0, views=3, view_size=200)
 def mark(model: GaussianModel, key_number: int, *, said: str = "", attested: str = "", psnr_db: float = 47.0) -> Party:
     """What somebody has who marked this model with this program."""
     key = OWNER if key_number == 1 else bench_key(key_number)
-    config = replace(QUICK, psnr_db=psnr_db)
-    made = embed(model, key, original_sha256="ab" * 32, config=config, registered_at=said)
+    made = marked_once(model, key, said, psnr_db)
     word = Attested(attested, "a time-stamping service") if attested else None
     return Party(open_record(made.record.to_bytes(key), key, word), made.model)
+
+
+@cache
+def marked_once(model: GaussianModel, key: OwnerKey, said: str, psnr_db: float) -> Embedding:
+    config = replace(QUICK, psnr_db=psnr_db)
+    return embed(model, key, original_sha256="ab" * 32, config=config, registered_at=said)
 
 
 @pytest.fixture(scope="module")

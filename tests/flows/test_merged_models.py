@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.watermark.claim import Claim
+from tests.parameters import few
 
 MODEL_ROUTE = VerifyConfig(route="model")
 DISHONEST = -38.6  # log10 of 2^-128
@@ -41,8 +44,9 @@ def attacked(scene: MarkedScene, *chain: tuple[str, float | str]) -> GaussianMod
     return suspect
 
 
-@pytest.mark.parametrize("share", [0.5, 0.25, 0.1, 0.05])
-@pytest.mark.parametrize("attack", ["merge", "lod"])
+@pytest.mark.parametrize(
+    ("attack", "share"), few([("merge", 0.05), ("lod", 0.25)], product(["merge", "lod"], [0.5, 0.25, 0.1, 0.05]))
+)
 def test_every_bit_at_every_level(piece: MarkedScene, attack: str, share: float) -> None:
     claim = claim_of(attacked(piece, (attack, share)), piece)
     assert claim.bit_accuracy == 1.0
@@ -54,10 +58,10 @@ def test_every_bit_at_every_level(piece: MarkedScene, attack: str, share: float)
     "chain",
     [
         [("merge", 0.5), ("crop", 0.25), ("similarity", 4.0)],
-        [("merge", 0.25), ("convert", "splat")],
+        pytest.param([("merge", 0.25), ("convert", "splat")], marks=pytest.mark.long),
         [("merge", 0.25), ("convert", "sog"), ("similarity", 4.0)],
-        [("merge", 0.1), ("similarity", 10.0), ("shuffle", 1.0)],
-        [("merge", 0.25), ("merge", 0.5)],
+        pytest.param([("merge", 0.1), ("similarity", 10.0), ("shuffle", 1.0)], marks=pytest.mark.long),
+        pytest.param([("merge", 0.25), ("merge", 0.5)], marks=pytest.mark.long),
     ],
     ids=str,
 )

@@ -80,7 +80,8 @@ def test_an_unmarked_mirror_image_makes_no_claim(scene: MarkedScene) -> None:
     assert claim.derived_fraction == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("axis", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("axis", [0, 1])
 def test_mirrored_screenshots_claim_as_if_they_were_not(
     with_landmarks: OpenedRecord, screenshots: list[np.ndarray], axis: int
 ) -> None:

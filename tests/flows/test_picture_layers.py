@@ -48,6 +48,7 @@ def test_both_layers_are_read_from_one_picture(scene: MarkedScene, cameras: list
     assert 0.4 * claim.z < claim.expected_z < 1.5 * claim.z
 
 
+@pytest.mark.long
 def test_what_washing_left_is_read_against_a_reference_washed_alike(
     whole_scene: MarkedScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,6 +21,7 @@ from engine.raster import render
 from engine.watermark.claim import LINEAR
 from engine.watermark.grain import roughen
 from engine.watermark.rates import OWNER, Attested, Condition, ConditionKind
+from tests.parameters import few
 
 pytestmark = pytest.mark.slow
 
@@ -99,16 +100,19 @@ def test_a_forged_original_makes_no_claim(scene: MarkedScene) -> None:
 
 @pytest.mark.parametrize(
     ("name", "strength"),
-    [
-        ("jpeg", 10),
-        ("noise_image", 0.1),
-        ("blur", 1.0),
-        ("crop_image", 0.4),
-        ("scale_image", 0.75),
-        ("rotate_image", 30.0),
-        ("brightness", 0.5),
-        ("brightness", 1.5),
-    ],
+    few(
+        [("jpeg", 10), ("crop_image", 0.4), ("rotate_image", 30.0), ("brightness", 1.5)],
+        [
+            ("jpeg", 10),
+            ("noise_image", 0.1),
+            ("blur", 1.0),
+            ("crop_image", 0.4),
+            ("scale_image", 0.75),
+            ("rotate_image", 30.0),
+            ("brightness", 0.5),
+            ("brightness", 1.5),
+        ],
+    ),
 )
 def test_one_attacked_picture_is_enough(scene: MarkedScene, name: str, strength: float) -> None:
     camera = scene.opened.cameras[1]

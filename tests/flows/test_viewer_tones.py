@@ -60,7 +60,7 @@ def test_no_curve_is_seen_where_there_is_none(scene: MarkedScene, camera: Camera
     assert tone_of(scene, camera, np.zeros_like(plain)) is None
 
 
-@pytest.mark.parametrize("name", ["aces", "neutral"])
+@pytest.mark.parametrize("name", ["aces", pytest.param("neutral", marks=pytest.mark.long)])
 def test_it_reads_more_than_a_curve_of_the_blended_picture(
     scene: MarkedScene, camera: Camera, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

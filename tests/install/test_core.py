@@ -53,7 +53,7 @@ def assert_main_job(answers: dict[str, Any]) -> None:
     assert "mark3dgs[train]" in answers["refine"]["error"]["message"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_main_job_imports_nothing_beyond_the_core(tmp_path: Path) -> None:
     refused = beyond_the_core()
     assert {"torch", "matplotlib", "skimage", "sklearn", "faiss", "fastapi", "httpx"} <= set(refused)

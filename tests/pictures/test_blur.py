@@ -11,6 +11,7 @@ from engine.model import GaussianModel
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render, render_depth
+from tests.parameters import few
 from tests.pictures.image_cases import attack, marked, picture
 from tests.pictures.plant_views import around
 from tests.scenes import PLANT
@@ -85,7 +86,7 @@ def missed(found: Blur, sharp: np.ndarray, true: np.ndarray) -> float:
     return off[0] / off[1]
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", few(["line 5, 0", "line 10, 135", "line 15, 30", "spot 1.2", "hook"], KERNELS))
 def test_a_known_blur_is_found(name: str) -> None:
     """Under a gain and an offset, with a mark of 46 dB on the picture, which is noise to it."""
     true, sharp = KERNELS[name], picture(3, SIDE)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from engine.pictures.camera.pose_refinement import Refined, refine_level
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import RasterSettings, render, render_depth
+from tests.parameters import few
 from tests.pictures.plant_views import UP, around, jpeg, reprojection
 from tests.pictures.rolling import rolled
 from tests.threads import with_one_and_two_threads
@@ -85,8 +87,7 @@ def test_camera_of_a_jpeg_is_found_to_hundredths_of_a_pixel(
     assert found.correlation > 0.99
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("quality", [80, 20])
+@pytest.mark.parametrize(("axis", "quality"), few([(0, 20), (1, 80)], product([0, 1], [80, 20])))
 def test_a_picture_turned_over_is_found_by_its_mirror_image(
     plant: GaussianModel, bank: Landmarks, axis: int, quality: int
 ) -> None:
@@ -161,6 +162,15 @@ def test_same_camera_on_any_number_of_threads(plant: GaussianModel, bank: Landma
     assert two is not None
     assert one.camera.viewmat.tobytes() == two.camera.viewmat.tobytes()
     assert one.camera.K.tobytes() == two.camera.K.tobytes()
+
+
+def test_a_picture_of_one_color_is_not_searched(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blank = np.full((240, 320, 3), np.float32([0.3, 0.5, 0.2]))
+    blank[::2] += np.float32(1 / 255)
+    monkeypatch.setattr("engine.pictures.camera.camera_search.Picture", lambda *_: pytest.fail("it searches"))
+    assert find_camera(bank, plant, blank) is None
 
 
 def test_other_pictures_are_not_recognised(plant: GaussianModel, bank: Landmarks) -> None:

@@ -87,9 +87,9 @@ def test_a_caption_does_not_move_the_brightness() -> None:
     [
         ("vignette", 0.7, 38),
         pytest.param("rolling_exposure", 0.8, 33, marks=pytest.mark.long),
-        ("flicker", 0.2, 36),
+        pytest.param("flicker", 0.2, 36, marks=pytest.mark.long),
         ("gamma", 2.2, 24),
-        ("gamma", 0.33, 38),
+        pytest.param("gamma", 0.33, 38, marks=pytest.mark.long),
     ],
 )
 def test_the_mark_is_read_through_it(name: str, strength: float, least: float) -> None:

@@ -30,7 +30,7 @@ def veiled(plant: GaussianModel) -> GaussianModel:
     return GaussianModel(*(np.concatenate([getattr(plant, name), getattr(large, name)]) for name in fields))
 
 
-@pytest.mark.parametrize("by_distance", [False, True])
+@pytest.mark.parametrize("by_distance", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
     veiled: GaussianModel, monkeypatch: pytest.MonkeyPatch, by_distance: bool
 ) -> None:

@@ -52,7 +52,7 @@ def test_buttons_do_not_matter_and_other_pictures_stay_whole() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("elevation", [-5.0, 40.0])
+@pytest.mark.parametrize("elevation", [pytest.param(-5.0, marks=pytest.mark.long), 40.0])
 def test_a_small_model_without_keypoints_is_found_in_a_portrait(plant: GaussianModel, elevation: float) -> None:
     nothing = make_landmarks(plant, [look_at((0.0, 0.0, -100.0), (0.0, 0.0, -200.0), UP, 300.0, 64, 48)])
     near = around(plant, 77.0, elevation, 3.6, 1.1)

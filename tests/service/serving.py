@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+LEAN = Path(__file__).parent / "lean"
 
 
 @dataclass
@@ -48,7 +49,7 @@ class Served:
             raise
 
 
-def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str) -> Served:
+def start(folder: Path, *, workers: int = 1, api_key: str = "", lean: bool = False, **settings: str) -> Served:
     """Start a service in a folder, which may hold an earlier one's data; returns once it answers.
 
     Parameters
@@ -57,6 +58,8 @@ def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str)
     workers : int
     api_key : str
         Of an earlier start; the first start writes its own to a file.
+    lean : bool
+        The profile "fast" is a lean one (see lean/sitecustomize.py), for tests that ask nothing of pictures.
     settings
         Environment variables without their prefix, such as TSA_URL.
     """
@@ -65,6 +68,8 @@ def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str)
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MARK3DGS_")}
     environment |= {"MARK3DGS_DATA_DIR": str(folder / "data")}
     environment |= {f"MARK3DGS_{name}": value for name, value in settings.items()}
+    if lean:
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(LEAN), os.environ.get("PYTHONPATH"))))
     with log.open("a") as out:
         process = subprocess.Popen(
             [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--workers", str(workers)],

@@ -90,6 +90,8 @@ def find_camera(
         raise InputError(f"a picture is (h, w, 3) and at least {CONFIG.least_side} pixels a side, got {image.shape}")
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite: save it again as 8-bit RGB")
+    if np.ptp(image, axis=(0, 1)).max() < CONFIG.least_spread:
+        return None  # one color: nothing to find, and every search would run to its end
     picture = Picture(reference_model, np.asarray(image, dtype=np.float32))
     candidates = Candidates(picture, landmarks, config.focals, config.other_focals)
     keypoint_candidates = {mirrored: candidates.by_keypoints(mirrored) for mirrored in (False, True)}

@@ -215,6 +215,7 @@ class CameraSearchConfig:
     """The search itself (`camera_search`), and its stages."""
 
     least_side: int = 16  # of a picture, pixels
+    least_spread: float = 1.5 / 255  # of its values, in each channel: rounding of one color spreads them by one step
     focals: tuple[float, ...] = tuple(np.geomspace(0.5, 2.0, 5))
     """Focal lengths tried, in widths; 41 % apart: with nine, as many of 80 pictures are found."""
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)  # tried where refinement from that of keypoints fails, in that

@@ -42,7 +42,7 @@ class Before:
 @pytest.fixture(scope="module")
 def before(tmp_path_factory: pytest.TempPathFactory) -> Before:
     folder = tmp_path_factory.mktemp("first")
-    served = serving.start(folder)
+    served = serving.start(folder, lean=True)
     try:
         return _lived(served, folder)
     finally:
@@ -80,7 +80,7 @@ def restored(before: Before, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     command = [sys.executable, "-m", "service.cli", "restore", str(before.backup)]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    served = serving.start(folder, api_key=before.token)
+    served = serving.start(folder, api_key=before.token, lean=True)
     yield served
     served.stop()
 

@@ -211,7 +211,7 @@ def test_without_a_time_stamping_service_claims_need_the_strict_rate(tmp_path: P
 def test_the_record_proves_it_without_the_service(tmp_path: Path, stamps: Stamps) -> None:
     """Through the processes of a service: a task asks, the worker answers; the command line checks the stamp."""
     given = {"TSA_URL": stamps.url, "TSA_CERTIFICATES": str(stamps.certificates)}
-    served = start(tmp_path, **given)
+    served = start(tmp_path, lean=True, **given)
     try:
         client = client_of(served, "alice")
         key = client.call("POST", "/v1/keys", json={"reveal": True})

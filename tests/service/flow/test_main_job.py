@@ -29,7 +29,11 @@ SCENE = encode_model(read_model(ROOT / "tests" / "data" / "train_1000.ply").mode
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests here; the budget of near duplicates is small, and one test spends it."""
     made = serving.start(
-        tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="5", WORKER_SILENCE_SECONDS="4", WATCH_MINUTES="0"
+        tmp_path_factory.mktemp("served"),
+        lean=True,
+        SUBJECT_VERIFIES_PER_DAY="5",
+        WORKER_SILENCE_SECONDS="4",
+        WATCH_MINUTES="0",
     )
     yield made
     made.stop()
@@ -224,7 +228,7 @@ def test_in_an_event_loop(served: Served, token: str, marked: Embedded, tmp_path
 
 
 def test_cancelling_kills_the_process(served: Served, alice: Client, owner_key: str) -> None:
-    job = alice.submit_embed(sparse_plant(), key_id=owner_key, profile="strong")
+    job = alice.submit_embed(sparse_plant(every=15), key_id=owner_key, profile="strong")
     until = time.monotonic() + 60
     while alice.job(job.id).stage not in ("look", "quantize", "landmarks"):
         assert time.monotonic() < until
@@ -238,7 +242,7 @@ def test_cancelling_kills_the_process(served: Served, alice: Client, owner_key: 
 
 
 def test_a_killed_worker_loses_nothing(served: Served, alice: Client, owner_key: str) -> None:
-    job = alice.submit_embed(sparse_plant(), key_id=owner_key, profile="fast", copy_name="survivor")
+    job = alice.submit_embed(sparse_plant(every=15), key_id=owner_key, profile="balanced", copy_name="survivor")
     while alice.job(job.id).state == "queued":
         time.sleep(0.05)
     for worker in served.workers():
@@ -250,7 +254,7 @@ def test_a_killed_worker_loses_nothing(served: Served, alice: Client, owner_key:
 
 def test_a_later_copy_costs_a_part(alice: Client, owner_key: str) -> None:
     """The killed worker's model again, for another buyer."""
-    ended = alice.embed(sparse_plant(), key_id=owner_key, profile="fast", copy_name="second")
+    ended = alice.embed(sparse_plant(every=15), key_id=owner_key, profile="balanced", copy_name="second")
     first = next(asset for asset in alice.assets() if asset.copy_name == "survivor")
     made, taken = (alice.asset(name).report["seconds_by_stage"]["landmarks"] for name in (first.id, ended.asset_id))
     assert taken < 0.3 * made
@@ -263,7 +267,7 @@ def test_what_is_not_marked_is_not_claimed(alice: Client, raw: httpx.Client) -> 
     """
     asset = next(asset for asset in alice.assets() if asset.copy_name == "second")
     form = {"asset_id": asset.id}
-    answer = raw.post("/v1/verify", data=form, files={"model": sparse_plant()}, headers={"Prefer": "wait=60"})
+    answer = raw.post("/v1/verify", data=form, files={"model": sparse_plant(every=15)}, headers={"Prefer": "wait=60"})
     assert answer.status_code == 200
     assert answer.json()["result"]["verdict"] == "not_marked"
     document = alice.claim(answer.json()["result"]["claim_id"]).document

@@ -22,7 +22,7 @@ VEILS = 100_000
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    made = serving.start(tmp_path_factory.mktemp("undrawable"))
+    made = serving.start(tmp_path_factory.mktemp("undrawable"), lean=True)
     yield made
     made.stop()
 

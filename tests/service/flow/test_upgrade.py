@@ -27,7 +27,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
             archive.extractall(folder, filter="data")
         else:  # Python before 3.11.4; the archive is ours
             archive.extractall(folder)
-    made = serving.start(folder, api_key=(folder / "api.key").read_text().strip(), WATCH_MINUTES="0")
+    made = serving.start(folder, api_key=(folder / "api.key").read_text().strip(), lean=True, WATCH_MINUTES="0")
     yield made
     made.stop()
 

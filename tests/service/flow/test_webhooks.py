@@ -15,7 +15,7 @@ __all__ = ["receivers"]
 
 def test_a_receiver_is_told(tmp_path: Path, receivers: Receivers) -> None:
     receiver = receivers()
-    served = serving.start(tmp_path, WEBHOOKS_PRIVATE="1")
+    served = serving.start(tmp_path, lean=True, WEBHOOKS_PRIVATE="1")
     try:
         with Client(served.address, served.api_key) as client:
             hook = client.add_webhook(f"http://127.0.0.1:{receiver.port}/")
