@@ -68,6 +68,7 @@ def test_what_is_left_keeps_what_was_allowed(choice: Choice) -> None:
     assert ALLOWED <= left < ALLOWED + 3.0
 
 
+@pytest.mark.long
 def test_harmonics_that_are_seen_stay(rough: GaussianModel) -> None:
     one_sided = rough.with_(sh=rough.sh + np.array([0.0] + 3 * [0.3], np.float32)[:, None])
     spent = chosen(one_sided, asked()).spent

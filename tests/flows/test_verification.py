@@ -27,14 +27,14 @@ pytestmark = pytest.mark.slow
 
 MODEL_ATTACKS = [
     ("similarity", 10.0),
-    ("shuffle", 1.0),
-    ("clone", 0.5),
+    pytest.param("shuffle", 1.0, marks=pytest.mark.long),
+    pytest.param("clone", 0.5, marks=pytest.mark.long),
     ("prune_random", 0.9),
     ("crop", 0.1),
     ("noise_all", 0.1),
     ("convert", "splat"),
     ("convert", "spz"),
-    ("merge_into", 1.0),
+    pytest.param("merge_into", 1.0, marks=pytest.mark.long),
 ]
 
 
@@ -153,6 +153,7 @@ def test_paper_decoder_reads_the_unharmed_model_and_only_the_bits_differ(scene: 
     assert paper.z == ours.z
 
 
+@pytest.mark.long
 def test_fine_tuning_on_clean_images_keeps_every_bit(scene: MarkedScene) -> None:
     cameras = [c.resized(128, 128) for c in scene.opened.cameras[:3]]
     clean = [np.clip(render(scene.original, c), 0, 1) for c in cameras]
@@ -272,6 +273,7 @@ def test_the_rate_is_not_the_claimant_s_choice(scene: MarkedScene) -> None:
     assert dated.conditions == (Condition(ConditionKind.SUSPECT_SINCE, "2026-03-02", OWNER),)
 
 
+@pytest.mark.long
 def test_renders_say_as_much_however_small_the_key_views_were(small_plant: GaussianModel) -> None:
     found = {}
     for size in (128, 512):

@@ -233,6 +233,7 @@ print(outer(1))
 """
 
 
+@pytest.mark.long
 def test_a_kernel_that_calls_a_kernel_sees_what_that_is_made_of(tmp_path: Path) -> None:
     """A piece in another file changes; the files of both kernels, whose dates numba's cache goes by, do not."""
     (tmp_path / "kernels.py").write_text(KERNELS)

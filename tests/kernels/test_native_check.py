@@ -175,6 +175,7 @@ print(f(1), len(compiled) > 0)
 """
 
 
+@pytest.mark.long
 def test_numba_keeps_what_it_runs_and_never_what_is_out_of_date(tmp_path: Path) -> None:
     (tmp_path / "kernels.py").write_text(TWICE)
     environment = {**os.environ, "MARK3DGS_KERNELS": "numba", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

@@ -140,6 +140,7 @@ def test_a_mirror_that_is_bent() -> None:
     assert (further.matches == order).mean() > 0.75, "bent so far, which hand it is cannot be told"
 
 
+@pytest.mark.long
 def test_foreign_scenes_are_not_found_in_a_mirror() -> None:
     for seed in (1, 2):
         assert not register(scene(0), mirror_model(moved(scene(seed, 9000)))).found

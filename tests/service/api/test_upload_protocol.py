@@ -1,6 +1,6 @@
 """Uploads against a model of their protocol: one offset, moved by compare and set, whatever clients do at a time.
 
-MARK3DGS_UPLOAD_STEPS sets how many steps are played (600): `MARK3DGS_UPLOAD_STEPS=10000 pytest ...` for a long run.
+MARK3DGS_UPLOAD_STEPS sets how many steps are played (400): `MARK3DGS_UPLOAD_STEPS=10000 pytest ...` for a long run.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from service.settings import Settings
 from service.trust.api_keys import issue
 from service.uploads import ingest, store
 
-STEPS, AT_A_TIME = int(os.environ.get("MARK3DGS_UPLOAD_STEPS", "600")), 40
+STEPS, AT_A_TIME = int(os.environ.get("MARK3DGS_UPLOAD_STEPS", "400")), 40
 PIECES = st.lists(st.binary(max_size=9), max_size=4)
 
 
