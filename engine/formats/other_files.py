@@ -88,6 +88,10 @@ _KINDS = (
         "--output-dir DIR)",
         holds=lambda data: b"!!python/object:nerfstudio" in data[:_HEAD],
     ),
+    _Other(
+        "begins like a PLY, but its first line is not 'ply' alone: a text editor changed it; export it again",
+        (b"\xef\xbb\xbfply", b"PLY", b"ply "),
+    ),
     _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
     _Other(
         f"is a point cloud, {_NO_MODEL}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import zlib
 from pathlib import Path
 
@@ -258,3 +259,14 @@ def test_writer_refuses_what_does_not_fit():
     ):
         with pytest.raises(InputError):
             refused()
+
+
+def test_gzip_in_several_members_is_one_file():
+    """As bgzip leaves it, and `cat` of parts."""
+    whole = write_spz(random_model(1))
+    raw = zlib.decompress(whole, 31)
+    parts = b"".join(gzip.compress(raw[at : at + 5000]) for at in range(0, len(raw), 5000))
+    np.testing.assert_array_equal(read_spz(parts, file="x")[0].sh, read_spz(whole, file="x")[0].sh)
+    for damaged in (parts[:-20], parts + parts, parts + b"\x1f\x8bjunk"):
+        with pytest.raises(FormatError):
+            read_spz(damaged, file="x")
