@@ -9,8 +9,8 @@ Poisson surface reconstruction (Kazhdan 2005, by Fourier transform), colors of t
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +19,14 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
+from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import configure, mark_scene
-from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
+from engine.model import SH_C0, Camera, Float64, GaussianModel
 from engine.raster.view import render, render_depth
 from engine.scenes.scene_files import read_suspect
+from engine.watermark.claim import Claim
 from tests.flows.test_point_clouds import cloud_of
 
 Corners = tuple[Float64, Float64]
@@ -93,39 +95,37 @@ def as_model(corners: Corners) -> GaussianModel:
     return GaussianModel(places, np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.zeros(n), dc)
 
 
+def told(claim: Claim) -> str:
+    return (
+        f"{claim.verdict}, z {claim.z:.1f}, made from the asset: {'yes' if claim.derivation.derived else 'not found'}"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--side", type=int, default=192, help="cells along the grid of the reconstruction")
-    parser.add_argument("--profile", default="balanced")
+    parser.add_argument("--side", type=int, default=256, help="cells along the grid of the reconstruction")
+    parser.add_argument("--pixels", type=int, default=600, help="side of the views that give points")
+    parser.add_argument("--seconds", type=float, default=600.0, help="time budget of each verification")
+    parser.add_argument("--keep", type=Path, help="folder for the meshes")
     options = parser.parse_args()
+    config = VerifyConfig(time_budget=options.seconds)
     for path in options.scenes:
-        scene = mark_scene(path, configure(options.profile), seed=1)
-        cameras = make_rig(scene.marked, 40, 400, 400)
+        scene = mark_scene(path, configure("balanced"), seed=1)
         for name, model in (("marked", scene.marked), ("original", scene.original)):
-            points, colors, normals = seen_points(model, cameras)
-            corners = poisson_mesh(points, normals, options.side)
-            cell = (np.quantile(points, 0.998, axis=0) - np.quantile(points, 0.002, axis=0)).max() * 1.2 / options.side
-            mesh = colored(corners, points, colors, 1.5 * cell)
+            points, colors, normals = seen_points(model, make_rig(model, 40, options.pixels, options.pixels))
+            cell = 1.2 * np.ptp(np.quantile(points, [0.002, 0.998], axis=0), axis=0).max() / options.side
+            mesh = colored(poisson_mesh(points, normals, options.side), points, colors, 1.5 * cell)
             with tempfile.TemporaryDirectory() as folder:
-                file = Path(folder, "mesh.ply")
+                file = (options.keep or Path(folder)) / f"{path.stem}_{name}.ply"
                 file.write_bytes(cloud_of(as_model(mesh), faces=1))
                 suspect = read_suspect(file).model
-            start = time.perf_counter()
-            found = verify_model(suspect, scene.opened).claim
-            took = time.perf_counter() - start
-            print(
-                f"{path.name} {name}: {len(mesh[0])} corners, {found.verdict}, z {found.z:.1f},",
-                f"derived {found.derivation.derived}, {took:.0f} s",
-                flush=True,
-            )
-            views: list[Float32] = [np.clip(render(suspect, c), 0, 1) for c in make_rig(suspect, 3, 800, 800)]
-            found = verify_images(views, scene.opened).claim
-            print(f"{path.name} {name}: 3 renders of it, {found.verdict}, z {found.z:.1f}", flush=True)
-            from PIL import Image
-
-            for i, v in enumerate(views):
-                Image.fromarray((v * 255).astype(np.uint8)).save(f"/tmp/files45-mesh/{path.stem}_{name}_{i}.png")
+            sys.stdout.write(f"{path.name} {name}, {len(suspect):,} corners: ")
+            sys.stdout.write(told(verify_model(suspect, scene.opened, config).claim) + "\n")
+            sys.stdout.flush()
+            views = [np.clip(render(suspect, camera), 0, 1) for camera in make_rig(suspect, 3, 800, 800)]
+            sys.stdout.write("  three pictures of it: " + told(verify_images(views, scene.opened, config).claim) + "\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":
