@@ -29,7 +29,7 @@ def through(kind: str) -> GaussianModel:
 @pytest.mark.parametrize("come", KINDS)
 def test_what_is_lost_is_told(come: str, to: str) -> None:
     trip = round_trip(through(come), to)
-    assert trip.faults == []
-    assert trip.notes == len(trip.lost)
+    assert trip.faults == ()
+    assert trip.notes == trip.losses
     assert trip.opacity <= OPACITY.get(to, 0) + 1e-6
     assert trip.turn <= TURN.get(to, 0) + 1e-4
