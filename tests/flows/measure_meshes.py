@@ -107,12 +107,14 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=256, help="cells along the grid of the reconstruction")
     parser.add_argument("--pixels", type=int, default=600, help="side of the views that give points")
     parser.add_argument("--seconds", type=float, default=600.0, help="time budget of each verification")
+    parser.add_argument("--of", nargs="+", default=["marked", "original"], choices=["marked", "original"])
     parser.add_argument("--keep", type=Path, help="folder for the meshes")
     options = parser.parse_args()
     config = VerifyConfig(time_budget=options.seconds)
     for path in options.scenes:
         scene = mark_scene(path, configure("balanced"), seed=1)
-        for name, model in (("marked", scene.marked), ("original", scene.original)):
+        for name in options.of:
+            model = scene.marked if name == "marked" else scene.original
             points, colors, normals = seen_points(model, make_rig(model, 40, options.pixels, options.pixels))
             cell = 1.2 * np.ptp(np.quantile(points, [0.002, 0.998], axis=0), axis=0).max() / options.side
             mesh = colored(poisson_mesh(points, normals, options.side), points, colors, 1.5 * cell)

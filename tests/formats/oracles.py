@@ -182,7 +182,8 @@ def _write_gaussforge(model: GaussianModel, kinds: tuple[str, ...]) -> Files:
     return {kind: bytes(data) for kind, data in zip(kinds, found, strict=True)}
 
 
-def _transform(source: Path, target: Path, *options: str) -> None:
+def transform(source: Path, target: Path, *options: str) -> None:
+    """Convert a file or a streamed scene by splat-transform."""
     command = [PROGRAM, "-q", "-w", "-g", "cpu", str(source), *options, str(target)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr or done.stdout
@@ -192,7 +193,7 @@ def _read_transform(data: bytes, kind: str) -> GaussianModel:
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "scene." + kind.rstrip("234")), Path(folder, "found.ply")
         source.write_bytes(data)
-        _transform(source, target)
+        transform(source, target)
         return read_model(target).model
 
 
@@ -200,12 +201,12 @@ def _write_transform(model: GaussianModel, kind: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "source.ply"), Path(folder, "scene." + kind.rstrip("234"))
         source.write_bytes(ours(model, "ply"))
-        _transform(source, target, *(("--spz-version", kind[3:]) if kind.startswith("spz") else ()))
+        transform(source, target, *(("--spz-version", kind[3:]) if kind.startswith("spz") else ()))
         return target.read_bytes()
 
 
 @cache
-def _transform_frame() -> str:
+def transform_frame() -> str:
     """Version 2 turns the axes as SPZ's specification wants it, version 3 leaves those of PLY."""
     said = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True, timeout=60, check=True).stdout
     return "spec" if said.split("v")[-1].startswith(("0.", "1.", "2.")) else "ply"
@@ -229,7 +230,7 @@ ORACLES = {
         ("ply", "compressed.ply", "spz3", "spz4", "sog", "glb"),
         _one_by_one(_read_transform),
         _one_by_one_out(_write_transform),
-        _transform_frame,
+        transform_frame,
     ),
 }
 HERE = {name for name in ORACLES if name != PROGRAM or (shutil.which(PROGRAM) and sys.platform != "win32")}

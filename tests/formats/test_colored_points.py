@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import tracemalloc
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -132,6 +133,45 @@ def test_a_mesh_shown_ten_thousand_times_is_refused() -> None:
     attributes = {"POSITION": (np.zeros((200, 3)), "f4"), "COLOR_0": (np.zeros((200, 3)), "f4")}
     with pytest.raises(FormatError, match="claims 2000000 Gaussians"):
         read_points(mesh(attributes, nodes=[{"mesh": 0}] * 10_000), file="x")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damage_is_an_error_of_ours_or_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    whole = textured(np.full((6, 2), 0.25), nodes=[{"mesh": 0, "scale": [1, 2, 3]}])
+    for _ in range(150):
+        data = bytearray(whole)
+        at = int(rng.integers(12, len(data)))
+        data[at : at + 1] = bytes(rng.choice(np.frombuffer(b'0"[{e-\xff', np.uint8), 1))
+        with suppress(FormatError):
+            found = read_points(bytes(data), file="x")
+            assert found is None or 1 <= len(found[0]) <= 6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"meshes": [{"primitives": 7}]},
+        {"meshes": [{"primitives": [{"attributes": [1]}]}]},
+        {"materials": [{"pbrMetallicRoughness": 3}]},
+        {"factor": [10**400, 1, 1, 1]},
+        {"factor": [float("nan"), 1, 1, 1]},
+        {"images": [{"bufferView": 10**30}]},
+    ],
+)
+def test_wrong_kinds_of_values_are_named(change: dict[str, Any]) -> None:
+    with pytest.raises(FormatError):
+        read_points(textured(np.zeros((6, 2)), **change), file="x")
+
+
+def test_places_beyond_all_numbers_are_left_out() -> None:
+    places = PLACES.copy()
+    places[2] = 3e38
+    data = textured(np.zeros((6, 2)), nodes=[{"mesh": 0, "scale": [9, 9, 9]}])
+    data = data.replace(PLACES.tobytes(), places.tobytes())
+    found = read_points(data, file="x")
+    assert found is not None
+    assert len(found[0]) == 5
 
 
 def test_an_obj_takes_hardly_more_memory_than_its_bytes() -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.gltf.container import Asset, unpack
-from engine.formats.gltf.nodes import shown_meshes
+from engine.formats.gltf.nodes import primitives_of, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.image_files import MAX_PIXELS_TOGETHER, read_picture
 from engine.model import Float32, Float64
@@ -34,8 +34,8 @@ def read_corners(data: bytes, *, file: str) -> tuple[Float32, Float32] | None:
     shown = [
         (primitive, matrix)
         for mesh, matrix in shown_meshes(asset)
-        for primitive in asset.row("meshes", mesh).get("primitives", ())
-        if isinstance(primitive, dict) and _has_colors(asset, primitive)
+        for primitive in primitives_of(asset, mesh)
+        if _has_colors(asset, primitive)
     ]
     if not shown:
         return None
@@ -71,11 +71,13 @@ def _corners(
     if (texture := _texture(asset, primitive)) is not None:
         light = light * to_linear(textures.sample(texture, values("TEXCOORD_0", 2)))
     factor = _base(asset, primitive).get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])
-    if not (isinstance(factor, list) and len(factor) == 4 and all(type(each) in (int, float) for each in factor)):
-        raise asset.fault("is no list of 4 numbers", "materials", "baseColorFactor")
-    light = light * np.clip(np.array(factor[:3], dtype=np.float64), 0, 1)
-    placed = points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-    return placed.astype(np.float32), from_linear(light).astype(np.float32)
+    sound = isinstance(factor, list) and len(factor) == 4
+    if not sound or not all(type(each) in (int, float) and 0 <= each <= 1 for each in factor):
+        raise asset.fault("is no list of 4 numbers from 0 to 1", "materials", "baseColorFactor")
+    light = light * np.array(factor[:3], dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no place is left out
+        placed = (points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+    return placed, from_linear(light).astype(np.float32)
 
 
 def _is_as_shown(asset: Asset) -> bool:

@@ -161,8 +161,8 @@ def _coarse(means: Float32, log_scales: Float32) -> list[Repair]:
     if 2 * len(rows) <= len(means):
         return []
     text = (
-        f"{len(rows)} centers (first in row {rows[0]}) lie so far out that float32, the file's type, rounds them by up"
-        f" to {steps[rows].max():.2g}, more than 1/20 of their Gaussian's size: export doubles, or around a local origin"
+        f"{len(rows)} centers (first in row {rows[0]}) lie so far out that their type, float32, rounds them by up to"
+        f" {steps[rows].max():.2g}, more than 1/20 of their Gaussian's size: export doubles, or around a local origin"
     )
     return [Repair("centers_coarse", len(rows), text)]
 
