@@ -96,9 +96,9 @@ def as_model(corners: Corners) -> GaussianModel:
 
 
 def told(claim: Claim) -> str:
-    return (
-        f"{claim.verdict}, z {claim.z:.1f}, made from the asset: {'yes' if claim.derivation.derived else 'not found'}"
-    )
+    derived = "yes" if claim.derivation.derived else "not found"
+    ended = "; ".join(note for note in claim.notes if "time budget" in note)
+    return f"{claim.verdict}, z {claim.z:.1f}, made from the asset: {derived}; {ended}\n"
 
 
 def main() -> None:
@@ -123,10 +123,10 @@ def main() -> None:
                 file.write_bytes(cloud_of(as_model(mesh), faces=1))
                 suspect = read_suspect(file).model
             sys.stdout.write(f"{path.name} {name}, {len(suspect):,} corners: ")
-            sys.stdout.write(told(verify_model(suspect, scene.opened, config).claim) + "\n")
+            sys.stdout.write(told(verify_model(suspect, scene.opened, config).claim))
             sys.stdout.flush()
             views = [np.clip(render(suspect, camera), 0, 1) for camera in make_rig(suspect, 3, 800, 800)]
-            sys.stdout.write("  three pictures of it: " + told(verify_images(views, scene.opened, config).claim) + "\n")
+            sys.stdout.write("  three pictures of it: " + told(verify_images(views, scene.opened, config).claim))
             sys.stdout.flush()
 
 
