@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -208,8 +209,10 @@ def _write_transform(model: GaussianModel, kind: str) -> bytes:
 @cache
 def transform_frame() -> str:
     """Version 2 turns the axes as SPZ's specification wants it, version 3 leaves those of PLY."""
-    said = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True, timeout=60, check=True).stdout
-    return "spec" if said.split("v")[-1].startswith(("0.", "1.", "2.")) else "ply"
+    said = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True, timeout=60, check=True)
+    found = re.search(r"v(\d+)\.", said.stdout + said.stderr)
+    assert found is not None
+    return "spec" if int(found[1]) < 3 else "ply"
 
 
 ORACLES = {
