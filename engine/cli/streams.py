@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
 from engine.cli.console import DATA_ON_STDOUT
 from engine.errors import InputError
@@ -15,6 +15,10 @@ from engine.errors import InputError
 __all__ = ["STREAM", "check_kind", "check_stdout", "input_file", "input_name", "write_stdout"]
 
 STREAM = Path("-")
+
+MAX_INPUT_BYTES = 2 << 30
+"""Of standard input, which ends in a temporary file: what the service takes as one upload by default."""
+_BLOCK = 1 << 20
 
 
 def input_name(path: Path, kind: str | None = None) -> str | None:
@@ -30,7 +34,8 @@ def check_kind(found: str, wanted: str | None, path: Path) -> None:
 
 @contextmanager
 def input_file(path: Path) -> Iterator[Path]:
-    """The file itself; of `-`, a temporary one of what standard input holds. InputError if that is a terminal."""
+    """The file itself; of `-`, a temporary one of what standard input holds. InputError if that is a terminal, or holds
+    more than `MAX_INPUT_BYTES`."""
     if path != STREAM:
         yield path
         return
@@ -39,8 +44,18 @@ def input_file(path: Path) -> Iterator[Path]:
     with TemporaryDirectory(prefix="mark3dgs-") as folder:
         file = Path(folder, "standard input")
         with file.open("wb") as spool:
-            shutil.copyfileobj(sys.stdin.buffer, spool)
+            _copy(sys.stdin.buffer, spool)
         yield file
+
+
+def _copy(stream: BinaryIO, spool: BinaryIO) -> None:
+    left = MAX_INPUT_BYTES
+    while block := stream.read(_BLOCK):
+        left -= len(block)
+        if left < 0:
+            most = f"{MAX_INPUT_BYTES / (1 << 30):g} GiB"
+            raise InputError(f"standard input holds more than {most}: save it as a file, and name that in place of '-'")
+        spool.write(block)
 
 
 def check_stdout() -> None:

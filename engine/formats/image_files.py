@@ -1,5 +1,6 @@
 """Picture files: known by their first bytes, read as floats."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -37,22 +38,22 @@ def is_picture(path: Path, name: str = "") -> bool:
         raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
-def read_picture(path: Path) -> Float32:
-    """(H, W, 3) float32 in 0..1, upright, transparent parts over black. FormatError if it is no picture, is damaged, or
-    has more than MAX_PICTURE_PIXELS pixels."""
-    name = str(path)
+def read_picture(source: Path | bytes, name: str = "") -> Float32:
+    """(H, W, 3) float32 in 0..1, upright, transparent parts over black, of a file, or of its content, which messages
+    call `name`. FormatError if it is no picture, is damaged, or has more than MAX_PICTURE_PIXELS pixels."""
+    file = name or str(source)
     try:
-        with Image.open(path) as picture:
+        with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as picture:
             if picture.width * picture.height > MAX_PICTURE_PIXELS:
-                raise FormatError(f"picture of {picture.width}x{picture.height} pixels is too large", file=name)
+                raise FormatError(f"picture of {picture.width}x{picture.height} pixels is too large", file=file)
             picture.load()
             upright = ImageOps.exif_transpose(picture)
     except FormatError:
         raise
     except Image.DecompressionBombError as error:
-        raise FormatError("picture has too many pixels", file=name) from error
+        raise FormatError("picture has too many pixels", file=file) from error
     except (OSError, ValueError, SyntaxError) as error:
-        raise FormatError(f"no readable picture ({error})", file=name) from error
+        raise FormatError(f"no readable picture ({error})", file=file) from error
     if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
         gray = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
         return np.ascontiguousarray(np.repeat(np.clip(gray, 0.0, 1.0)[:, :, None], 3, axis=2))

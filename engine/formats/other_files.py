@@ -88,6 +88,10 @@ _KINDS = (
         "--output-dir DIR)",
         holds=lambda data: b"!!python/object:nerfstudio" in data[:_HEAD],
     ),
+    _Other(
+        "begins like a PLY, but its first line is not 'ply' alone: a text editor changed it; export it again",
+        (b"\xef\xbb\xbfply", b"PLY", b"ply "),
+    ),
     _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
     _Other(
         f"is a point cloud, {_NO_MODEL}",
@@ -95,7 +99,8 @@ _KINDS = (
         endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx"),
     ),
     _Other(
-        f"is a mesh, {_NO_MODEL}",
+        f"is a mesh, {_NO_MODEL}; verify also takes pictures of it, and a mesh with colors at its corners (.ply, .obj,"
+        " .glb) or with its texture inside (.glb)",
         (b"Kaydara FBX Binary", b"; FBX", b"BLENDER", b"solid "),
         lambda data: b"\0" not in data[:_HEAD] and _MESH_TEXT.search(data[:_HEAD]) is not None,
         (".obj", ".fbx", ".stl", ".dae", ".blend", ".3ds", ".off"),

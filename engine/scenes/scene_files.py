@@ -19,7 +19,7 @@ from engine.formats.file_writing import encode_model, loss_note, write_whole
 from engine.formats.guards import opening, read_regular
 from engine.formats.model_reading import weigh_files
 from engine.formats.ply.header import MAX_HEADER_BYTES
-from engine.formats.ply.points import read_points
+from engine.formats.points import read_points
 from engine.formats.repairs import Repair
 from engine.model import GaussianModel
 from engine.scenes.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook

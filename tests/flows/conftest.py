@@ -1,7 +1,12 @@
 from __future__ import annotations
 
+import fcntl
+import os
+import pickle
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar, cast
 
 import numpy as np
 import pytest
@@ -16,6 +21,20 @@ from engine.model import GaussianModel
 from tests.scenes import sparse_plant
 
 SCENE = Path(__file__).parents[1] / "data" / "plant.splat"
+
+Made = TypeVar("Made")
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[], Made]) -> Made:
+    """What the first worker that needs it makes for all of them."""
+    base = factory.getbasetemp()
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    path = folder / f"{name}.pickle"
+    with (folder / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            path.write_bytes(pickle.dumps(make()))
+    return cast("Made", pickle.loads(path.read_bytes()))
 
 
 @pytest.fixture(scope="session")
@@ -38,8 +57,12 @@ class FiveCopies:
 
 
 @pytest.fixture(scope="session")
-def five_copies(small_plant: GaussianModel) -> FiveCopies:
+def five_copies(small_plant: GaussianModel, tmp_path_factory: pytest.TempPathFactory) -> FiveCopies:
     """For "buyer 0" to "buyer 4"; no landmark bank."""
+    return made_once(tmp_path_factory, "five_copies", lambda: _five_copies(small_plant))
+
+
+def _five_copies(small_plant: GaussianModel) -> FiveCopies:
     key, names = bench_key(5), [f"buyer {number}" for number in range(5)]
     config = profile("fast", landmark_views=0, views=3, view_size=160)
     made = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=config))
@@ -63,15 +86,17 @@ def third(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def scene(third: Path) -> MarkedScene:
+def scene(third: Path, tmp_path_factory: pytest.TempPathFactory) -> MarkedScene:
     """A third of the real plant, marked with 32 bits at 47 dB; no landmark bank."""
-    return mark_scene(third, profile("fast", landmark_views=0, view_size=512))
+    config = profile("fast", landmark_views=0, view_size=512)
+    return made_once(tmp_path_factory, "scene", lambda: mark_scene(third, config))
 
 
 @pytest.fixture(scope="session")
-def whole_scene() -> MarkedScene:
+def whole_scene(tmp_path_factory: pytest.TempPathFactory) -> MarkedScene:
     """All of it: for bounds on what little a damaged picture still says, or on fidelity."""
-    return mark_scene(SCENE, profile("fast", landmark_views=0, view_size=512))
+    config = profile("fast", landmark_views=0, view_size=512)
+    return made_once(tmp_path_factory, "whole_scene", lambda: mark_scene(SCENE, config))
 
 
 @pytest.fixture(scope="session")

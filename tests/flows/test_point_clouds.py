@@ -108,3 +108,13 @@ def test_points_without_colors_stay_refused(tmp_path: Path) -> None:
     (tmp_path / "bare.ply").write_bytes(bare + b"end_header\n1 2 3\n")
     with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):
         read_suspect(tmp_path / "bare.ply")
+
+
+def test_the_reconstruction_of_the_mesh_measurement_finds_a_ball() -> None:
+    from tests.flows.measure_meshes import poisson_mesh
+
+    normals = np.random.default_rng(0).normal(size=(20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    corners = poisson_mesh(2.0 * normals + [5.0, 0.0, 1.0], normals, 48)
+    np.testing.assert_allclose(np.linalg.norm(corners - [5.0, 0.0, 1.0], axis=1), 2.0, atol=1.2 * 4 / 48)
+    assert len(corners) > 4_000

@@ -10,10 +10,6 @@ import subprocess
 import sys
 from typing import Any
 
-import numpy as np
-
-from engine.model import GaussianModel
-
 
 def gaussforge(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
     """Results of methods of GaussForge, each a name and its arguments."""
@@ -24,17 +20,6 @@ def gaussforge(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
     for result in results:
         assert "error" not in result, result
     return [result["data"] for result in results]
-
-
-def as_model(read: dict[str, Any]) -> GaussianModel:
-    """The answer of its method `read`, whose quaternions are w, x, y, z and whose SH are as ours."""
-    n = read["numPoints"]
-    arrays = {
-        name: np.frombuffer(read[name], dtype=np.float32).reshape(n, -1)
-        for name in ("positions", "scales", "rotations", "alphas", "colors", "sh")
-    }
-    sh = np.concatenate([arrays["colors"][:, None], arrays["sh"].reshape(n, -1, 3)], axis=1)
-    return GaussianModel(arrays["positions"], arrays["scales"], arrays["rotations"], arrays["alphas"][:, 0], sh)
 
 
 if __name__ == "__main__":

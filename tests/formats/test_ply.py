@@ -1,9 +1,8 @@
-"""PLY against plyfile and gsply, and every variant met in the wild."""
+"""PLY against plyfile, and every variant met in the wild."""
 
 from __future__ import annotations
 
 import io
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,6 @@ from engine.formats import encode_model, read_model
 from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.model import DISC_THICKNESS, GaussianModel
 from tests.formats.models import ATTRIBUTES, DATA, assert_same, header_for, names_of, ply_of, random_model, rows_for
-from tests.formats.plain_gsply import gsply
 
 TRAIN = DATA / "train_1000.ply"
 
@@ -74,17 +72,6 @@ def test_reads_what_plyfile_writes(text: bool, byte_order: str, kind: str) -> No
     loaded = read_model(stream.getvalue())
     for name in ATTRIBUTES:  # plyfile prints 18 digits, so the text is exact as well
         np.testing.assert_array_equal(getattr(loaded.model, name), getattr(model, name), err_msg=name)
-
-
-def test_agrees_with_gsply(tmp_path: Path) -> None:
-    theirs, ours = gsply.plyread(TRAIN), read_model(TRAIN).model
-    np.testing.assert_array_equal(ours.means, theirs.means)
-    np.testing.assert_array_equal(ours.log_scales, theirs.scales)
-    np.testing.assert_array_equal(ours.sh[:, 0], theirs.sh0)
-    np.testing.assert_array_equal(ours.sh[:, 1:], theirs.shN)
-    path = tmp_path / "gsply.ply"
-    gsply.plywrite(path, ours.means, ours.log_scales, ours.quats, ours.opacity_logits, ours.sh[:, 0], ours.sh[:, 1:])
-    assert_same(read_model(path).model, ours)
 
 
 def test_two_scales_become_thin_discs() -> None:
@@ -232,11 +219,3 @@ def test_ascii_with_elements_around_and_values_that_are_no_numbers() -> None:
     loaded = read_model(text.encode())
     assert len(loaded.model) == 2
     assert {r.code: r.count for r in loaded.repairs}["rows_dropped"] == 1
-
-
-def test_a_list_in_the_way_is_refused() -> None:
-    head = ["ply", "format binary_little_endian 1.0", "element face 1", "property list uchar int corners"]
-    head += ["element vertex 1", *(f"property float {name}" for name in names_of(0)), "end_header", ""]
-    with pytest.raises(FormatError) as caught:
-        read_model("\n".join(head).encode() + bytes(100))
-    assert (caught.value.element, caught.value.prop) == ("face", "corners")

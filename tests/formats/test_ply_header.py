@@ -40,7 +40,8 @@ START = "ply\nformat binary_little_endian 1.0\n"
         (START + START[4:], "two 'format' lines"),
         ("ply\nformat binary_middle_endian 1.0\n", "unknown encoding 'binary_middle_endian'"),
         ("ply\nformat ascii 2.0\n", "version '2.0' is not read here"),
-        ("ply\rformat ascii 1.0\r", "the first line is not 'ply'"),
+        ("plyx\nformat ascii 1.0\n", "is none of the formats"),
+        ("ply\rformat ascii 1.0\r", "cut off"),
     ],
 )
 def test_every_fault_is_named(text: str, message: str) -> None:

@@ -64,7 +64,8 @@ def test_what_is_meant_is_read(name: str) -> None:
 
 def with_list() -> bytes:
     step = ROWS.dtype.itemsize
-    rows = (BODY[i : i + step] + b"\x01\0\0\0\0" for i in range(0, len(BODY), step))
+    extra = (b"\x01\0\0\0\0", b"\0")  # one value and none, in turns
+    rows = (BODY[i : i + step] + extra[i // step % 2] for i in range(0, len(BODY), step))
     return HEAD.replace(b"end_header\n", b"property list uchar float extra\nend_header\n") + b"".join(rows)
 
 
@@ -74,7 +75,7 @@ def with_list() -> bytes:
         (HEAD.replace(b"vertex 1000", b"vertex 0"), "no Gaussians"),
         (DATA.replace(b"vertex 1000", b"vertex 999", 1), "bytes follow the 999 rows"),
         (DATA.replace(b"vertex 1000", b"vertex 1001", 1), "cut off, or the count is wrong"),
-        (with_list(), "a list where plain numbers are needed"),
+        (with_list(), "lists of different lengths"),
         (gzip.compress(DATA), "is gzip, but no SPZ file"),
         (written(form="ascii").replace(b"E", b"D"), "is no float32"),
         (written(names=[name for name in NAMES if name not in ("f_rest_43", "f_rest_44")]), "43 properties f_rest"),

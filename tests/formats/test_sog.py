@@ -1,4 +1,4 @@
-"""SOG against definitions, against two foreign codecs, and against archives that lie."""
+"""SOG against definitions, another reader of version 1, and archives that lie."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from engine.formats.ply.gaussians import read_ply
 from engine.formats.sog.bundle import read_sog, read_sog_folder, write_sog
 from engine.formats.sog.encoding import position_codes
 from engine.model import GaussianModel
-from tests.formats.gaussforge_child import as_model, gaussforge
 from tests.formats.models import assert_same
 from tests.formats.sog_scenes import (
     assert_valid,
@@ -131,8 +130,7 @@ def test_folder_and_meta_path_read_as_the_bundle(tmp_path):
             read_sog_folder(other)
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_gsply_reads_the_same(version, monkeypatch, train):
+def test_gsply_reads_version_1_as_we_do(monkeypatch):
     from tests.formats.plain_gsply import sog_reader
 
     def load(data):
@@ -141,7 +139,7 @@ def test_gsply_reads_the_same(version, monkeypatch, train):
         return pixels.reshape(-1).astype(np.int64), pixels.shape[1], pixels.shape[0]
 
     monkeypatch.setattr(sog_reader, "_load_webp_image", load)  # its own decoder is an extra
-    data = version_1(60, 3)[0] if version == 1 else write_sog(train)
+    data = version_1(60, 3)[0]
     theirs = sog_reader.sogread(data)
     ours, _ = read_sog(data, file="x")
     np.testing.assert_allclose(theirs.means, ours.means, rtol=1e-4, atol=1e-5)
@@ -152,31 +150,6 @@ def test_gsply_reads_the_same(version, monkeypatch, train):
     np.testing.assert_allclose(theirs.shN, ours.sh[:, 1:], atol=1e-6)
     finite = np.abs(theirs.opacities) < 10
     np.testing.assert_allclose(theirs.opacities[finite], ours.opacity_logits[finite], atol=1e-4)
-
-
-def test_gaussforge_reads_what_we_write_and_writes_what_we_read(train):
-    ours = write_sog(train)
-    read, written = gaussforge(
-        ("read", {"data": ours, "format": "sog"}),
-        ("convert", {"data": TRAIN.read_bytes(), "in_format": "ply", "out_format": "sog"}),
-    )
-    theirs, model = as_model(read), read_sog(ours, file="x")[0]
-    for name in ("means", "log_scales", "sh"):
-        np.testing.assert_allclose(getattr(theirs, name), getattr(model, name), rtol=1e-4, atol=1e-4, err_msg=name)
-    np.testing.assert_allclose(np.abs((theirs.quats * model.quats).sum(axis=1)), 1.0, atol=1e-5)
-
-    foreign, _ = read_sog(written, file="x")
-    (read,) = gaussforge(("read", {"data": written, "format": "sog"}))
-    theirs = as_model(read)
-    for name in ("means", "log_scales", "sh"):
-        np.testing.assert_allclose(getattr(theirs, name), getattr(foreign, name), rtol=1e-4, atol=1e-4, err_msg=name)
-    np.testing.assert_allclose(np.abs((theirs.quats * foreign.quats).sum(axis=1)), 1.0, atol=1e-5)
-    assert len(foreign) == len(train)
-    # It orders the Gaussians its own way: compare by the nearest centre.
-    nearest = ((foreign.means[:, None] - train.means) ** 2).sum(axis=2).argmin(axis=1)
-    assert len(np.unique(nearest)) > 990
-    assert np.abs(foreign.log_scales - train.log_scales[nearest]).mean() < 0.05
-    assert np.abs(foreign.opacities - train.opacities[nearest]).mean() < 0.01
 
 
 def test_alpha_of_nought_and_255_become_finite():

@@ -16,7 +16,6 @@ from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from engine.formats.splat import RECORD, looks_like_splat, read_splat
 from engine.model import SH_C0
 from engine.scenes.scene_files import read_scene
-from tests.formats.gaussforge_child import gaussforge
 from tests.formats.models import DATA, random_model
 
 PLANT = DATA / "plant.splat"
@@ -59,18 +58,6 @@ def test_alpha_of_zero_and_one_become_finite() -> None:
     model = random_model(0, 3).with_(opacity_logits=np.array([50, -50, 0]))
     logits = read_model(encode_model(model, "splat")).model.opacity_logits
     np.testing.assert_allclose(logits[:2], [INFINITE_OPACITY_LOGIT, -INFINITE_OPACITY_LOGIT])
-
-
-def test_agrees_with_gaussforge() -> None:
-    data = encode_model(random_model(0), "splat")
-    ours = read_model(data).model
-    (answer,) = gaussforge(("convert", {"data": data, "in_format": "splat", "out_format": "ply"}))
-    theirs = read_model(answer).model
-    np.testing.assert_array_equal(ours.means, theirs.means)
-    np.testing.assert_allclose(ours.log_scales, theirs.log_scales, atol=1e-5)
-    np.testing.assert_allclose(ours.sh, theirs.sh, atol=0.01)
-    np.testing.assert_allclose(ours.quats, theirs.quats, atol=0.01)
-    np.testing.assert_allclose(ours.opacities, theirs.opacities, atol=0.01)
 
 
 def test_dirty_rows() -> None:

@@ -65,7 +65,7 @@ class Asset:
         """Number of rows that an accessor claims."""
         return _whole(self, self.row("accessors", index), "count", f"accessor {index}")
 
-    def values(self, index: object, width: int, prop: str) -> npt.NDArray[np.float32]:
+    def values(self, index: object, widths: int | tuple[int, ...], prop: str) -> npt.NDArray[np.float32]:
         """(N, width) values of an accessor, integers as their component type says (normalised, or as they are).
 
         FormatError where it does not lie in its buffer, which is checked before anything is decoded, or has another
@@ -75,8 +75,10 @@ class Asset:
         if "sparse" in accessor:
             raise UnsupportedFormatError("is sparse", file=self.file, element=element, prop=prop)
         code, kind = accessor.get("componentType"), accessor.get("type")
-        if not isinstance(code, int) or code not in _CODES or _WIDTHS.get(str(kind)) != width:
-            raise self.fault(f"is of {kind!r:.20} and {code!r:.20}, expected {width} numbers a row", element, prop)
+        width, allowed = _WIDTHS.get(str(kind)), widths if isinstance(widths, tuple) else (widths,)
+        if not isinstance(code, int) or code not in _CODES or width is None or width not in allowed:
+            wanted = " or ".join(map(str, allowed))
+            raise self.fault(f"is of {kind!r:.20} and {code!r:.20}, expected {wanted} numbers a row", element, prop)
         view = self.row("bufferViews", accessor.get("bufferView"))
         if "extensions" in view:
             message = f"its buffer view has extensions: {ascii(view['extensions'])[:120]}"

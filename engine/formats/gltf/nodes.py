@@ -14,7 +14,7 @@ from engine.formats.gltf.container import Asset
 from engine.model import Float64
 from engine.numerics.similarity import quaternion_to_rotation
 
-__all__ = ["MAX_NODES", "as_similarity", "shown_meshes"]
+__all__ = ["MAX_NODES", "as_similarity", "primitives_of", "shown_meshes"]
 
 MAX_NODES = 1 << 14
 _UNEVEN = 1e-4
@@ -45,6 +45,14 @@ def shown_meshes(asset: Asset) -> Iterator[tuple[int, Float64]]:
         waiting += [(child, matrix) for child in reversed(_list(asset, node, "children", index))]
         if "mesh" in node:
             yield node["mesh"], matrix
+
+
+def primitives_of(asset: Asset, mesh: object) -> list[Mapping[str, Any]]:
+    """All primitives of a mesh; FormatError where they are no objects."""
+    found = asset.row("meshes", mesh).get("primitives")
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise asset.fault("has no list of primitives", f"mesh {mesh}")
+    return found
 
 
 def as_similarity(matrix: Float64, *, file: str) -> tuple[float, Float64, Float64]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
-from engine.formats.gltf.nodes import as_similarity, shown_meshes
+from engine.formats.gltf.nodes import as_similarity, primitives_of, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
@@ -70,7 +70,8 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
     _check_required(asset)
     shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
     if not shown:
-        message = f"holds no Gaussians, only a mesh or points: no primitive that is shown has {EXTENSION}"
+        message = f"holds no Gaussians, only a mesh or points: no primitive that is shown has {EXTENSION}; verify also"
+        message += " takes pictures of it, and a mesh with colors at its corners or a texture inside"
         raise UnsupportedFormatError(message, file=file, element="meshes")
     plain = [_attributes(asset, primitive) for primitive, _ in shown if _spz_view(primitive) is None]
     if plain:
@@ -164,10 +165,7 @@ def _unsupported(asset: Asset, name: str) -> UnsupportedFormatError:
 
 def _primitives(asset: Asset, mesh: object) -> Iterator[Mapping[str, Any]]:
     """Those of a mesh that hold Gaussians, once their extension says nothing that is not known here."""
-    found = asset.row("meshes", mesh).get("primitives")
-    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
-        raise asset.fault("has no list of primitives", f"mesh {mesh}")
-    for primitive in found:
+    for primitive in primitives_of(asset, mesh):
         extensions = primitive.get("extensions", {})
         if not isinstance(extensions, dict):
             raise asset.fault("is no object", f"mesh {mesh}", "extensions")

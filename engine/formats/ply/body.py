@@ -24,8 +24,8 @@ def read_tables(
     """
     for element in header.elements:
         listed = next((p for p in element.properties if p.is_list), None)
-        if listed is not None:
-            message = "a list where plain numbers are needed"
+        if listed is not None and (header.byte_order or element.name in wanted):  # lines of text are skipped as such
+            message = "lists of different lengths in rows that must be passed to find others: export without them"
             raise FormatError(message, file=file, element=element.name, prop=listed.name)
         if element.name == wanted[-1]:
             break

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.ply.extras import named
-from engine.formats.ply.header import TYPE_NAMES, Element, Header, Property
+from engine.formats.ply.header import TYPE_NAMES, Element, Header
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
@@ -51,7 +51,7 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
         names = [table.get(name, name) for name in names]
         text = f"colors {named(colors)} were read as the first coefficients of harmonics"
         repairs.append(Repair("colors_read", vertex.count, text))
-    properties = (Property(name, p.code, p.is_list) for name, p in zip(names, vertex.properties, strict=True))
+    properties = (replace(p, name=name) for name, p in zip(names, vertex.properties, strict=True))
     return replace(header, elements=_with(header.elements, replace(vertex, properties=tuple(properties)))), repairs
 
 
@@ -161,7 +161,7 @@ def _coarse(means: Float32, log_scales: Float32) -> list[Repair]:
     if 2 * len(rows) <= len(means):
         return []
     text = (
-        f"{len(rows)} centers (first in row {rows[0]}) lie so far out that the file's float32 rounded them by up to"
+        f"{len(rows)} centers (first in row {rows[0]}) lie so far out that their type, float32, rounds them by up to"
         f" {steps[rows].max():.2g}, more than 1/20 of their Gaussian's size: export doubles, or around a local origin"
     )
     return [Repair("centers_coarse", len(rows), text)]

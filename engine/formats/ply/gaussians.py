@@ -24,6 +24,7 @@ from engine.formats.ply.extras import (
     refuse_motion,
 )
 from engine.formats.ply.header import Element, Header, parse_header
+from engine.formats.ply.lists import plain_lists
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
 from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import DISC_THICKNESS, Float32, GaussianModel
@@ -46,7 +47,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     is missing or holds whole numbers; UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians
     move or lie in codebooks.
     """
-    header, renamed = plain_names(parse_header(data, file=file))
+    header, renamed = plain_names(plain_lists(data, parse_header(data, file=file), "vertex"))
     vertex, used, more, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     repairs = [*renamed, *carrying(header, more), *repairs]

@@ -28,12 +28,17 @@ _NAME = re.compile(r"[\x21-\x7e]{1,80}")
 class Property:
     """A named scalar of an element, of a type as numpy spells it without byte order: ``"f4"``.
 
-    Of a list (`is_list`) it is the type of its length: rows differ in length then, and can only be skipped.
+    Of a list it is the type of its length, and `item` that of its values: rows may differ in length then.
     """
 
     name: str
     code: str
-    is_list: bool = False
+    item: str = ""
+
+    @property
+    def is_list(self) -> bool:
+        """Whether a row has any number of values of it."""
+        return bool(self.item)
 
 
 @dataclass(frozen=True)
@@ -86,11 +91,12 @@ def parse_header(data: bytes | memoryview, *, file: str) -> Header:
     version other than 1.0.
     """
     head = bytes(data[:MAX_HEADER_BYTES])
-    if not head.startswith((b"ply\n", b"ply\r\n")):
+    if not head.startswith((b"ply\n", b"ply\r")):
         raise FormatError("is no PLY file: the first line is not 'ply'", file=file)
     parser = _Parser(file)
-    start = head.index(b"\n") + 1
-    while (end := head.find(b"\n", start)) >= 0:
+    ends = b"\r" if head[3:4] == b"\r" and head[4:5] != b"\n" else b"\n"
+    start = head.index(ends) + 1
+    while (end := head.find(ends, start)) >= 0:
         line, start = head[start:end].removesuffix(b"\r"), end + 1
         if line.strip() == b"end_header":
             return parser.finish(start)
@@ -122,8 +128,7 @@ class _Parser:
         elif keyword == "property" and len(words) == 3:
             self._property(Property(words[2], self._type(words[1], words[2])))
         elif keyword == "property" and len(words) == 5 and words[1] == "list":
-            self._type(words[3], words[4])
-            self._property(Property(words[4], self._type(words[2], words[4]), is_list=True))
+            self._property(Property(words[4], self._type(words[2], words[4]), self._type(words[3], words[4])))
         else:
             raise self._fault(f"cannot read the header line {_show(line.decode('latin-1'))}")
 

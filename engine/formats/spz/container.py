@@ -1,5 +1,7 @@
 """The containers of SPZ: one stream, gzip or plain (versions 1 to 3), and a header with zstd streams (version 4)."""
 
+import gzip
+import io
 import struct
 import zlib
 from dataclasses import dataclass
@@ -127,8 +129,12 @@ def _unpack_gzip(data: bytes, *, file: str) -> Payload:
         head = inflater.decompress(data, _HEADER.size)
         header = _stream_header(head, len(data), file=file)
         # One byte more than may be there: it tells a longer stream apart and lets zlib reach its checksum.
-        body = inflater.decompress(inflater.unconsumed_tail, sum(header.section_sizes) + header.spare + 1)
-    except zlib.error as fault:
+        most = sum(header.section_sizes) + header.spare + 1
+        body = inflater.decompress(inflater.unconsumed_tail, most)
+        if inflater.unused_data.startswith(GZIP_MAGIC):  # several members, as bgzip and `cat` leave them
+            with gzip.GzipFile(fileobj=io.BytesIO(inflater.unused_data)) as others:
+                return _split(header, body + others.read(most - len(body)), file=file)
+    except (zlib.error, gzip.BadGzipFile, EOFError) as fault:
         raise FormatError(f"damaged gzip stream ({fault})", file=file) from None
     payload = _split(header, body, file=file)
     if not inflater.eof:

@@ -17,6 +17,7 @@ from engine.lab.sim.attack import Attacks
 from engine.lab.sim.image_encoders import bytes_of, still, values_of
 from engine.lab.sim.lens import BrownLens, FisheyeLens
 from engine.model import Float32, Float64
+from engine.numerics.srgb import from_linear, to_linear
 
 __all__ = ["ATTACKS"]
 
@@ -311,16 +312,6 @@ def white_balance(image: Float32, strength: float, rng: np.random.Generator) -> 
     """Red times the root of `strength` and blue divided by it: above 1 warmer, below cooler."""
     tint = np.sqrt(strength)
     return np.asarray(image * np.array([tint, 1.0, 1.0 / tint]))
-
-
-def to_linear(values: Values) -> Float64:
-    """Linear light 0..1 of sRGB values 0..1 (IEC 61966-2-1)."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-def from_linear(light: Values) -> Float64:
-    """sRGB values 0..1 of linear light 0..1."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-12) ** (1 / 2.4) - 0.055)
 
 
 def _primaries(matrix: Float64) -> Callable[[Float64], Float64]:

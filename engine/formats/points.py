@@ -1,11 +1,15 @@
 """Colored points as Gaussians of one size: what is left of a model that was exported as a point cloud, or as a mesh
 with colors at its corners."""
 
+import io
+from itertools import chain
+
 import numpy as np
 
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import COLORS, dc_of_colors
 from engine.formats.ply.header import parse_header
+from engine.formats.ply.lists import plain_lists
 from engine.formats.repairs import Repair, clean
 from engine.model import Float32, GaussianModel
 
@@ -16,15 +20,18 @@ _OPACITY_LOGIT = 2.2
 
 _SAMPLE, _NEIGHBOR = 4096, 4
 
+_OBJ_LINE = 1024
+"""Bytes that are looked at of a corner's line."""
+
 
 def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]] | None:
-    """Points of a PLY, or corners of an OBJ, with a place and a color each; None where it has none of them, or is
-    neither.
+    """Points of a PLY, or corners of an OBJ or a glTF, with a place and a color each; None where it has none of them,
+    or is none of these.
 
     Every one becomes a ball of half the median distance to its fourth neighbor. Such a model is a suspect only: to mark
     or convert it would be to make up what it lacks.
     """
-    found = _of_ply(data, file) if data.startswith((b"ply\n", b"ply\r")) else _of_obj(data)
+    found = _of_ply(data, file) if data.startswith((b"ply\n", b"ply\r")) else _of_gltf(data, file) or _of_obj(data)
     if found is None:
         return None
     means, dc = found
@@ -48,7 +55,7 @@ def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair,
 
 def _of_ply(data: bytes, file: str) -> tuple[Float32, Float32] | None:
     """Places and first coefficients, (N, 3) each."""
-    header = parse_header(data, file=file)
+    header = plain_lists(data, parse_header(data, file=file), "vertex")
     vertex = header.element("vertex")
     colors = None if vertex is None else next((c for c in COLORS if set(c) <= vertex.names), None)
     if vertex is None or colors is None or not {"x", "y", "z"} <= vertex.names or not vertex.count:
@@ -60,14 +67,23 @@ def _of_ply(data: bytes, file: str) -> tuple[Float32, Float32] | None:
     return means, dc_of_colors(rgb, records.dtype[colors[0]])
 
 
+def _of_gltf(data: bytes, file: str) -> tuple[Float32, Float32] | None:
+    """The same of a glTF. Its axes stay: a suspect is registered however it stands."""
+    from engine.formats.gltf.corners import read_corners  # loads what decodes textures
+    from engine.formats.gltf.scene import looks_like_gltf
+
+    found = read_corners(data, file=file) if looks_like_gltf(data) else None
+    return None if found is None else (found[0], dc_of_colors(found[1], found[1].dtype))
+
+
 def _of_obj(data: bytes) -> tuple[Float32, Float32] | None:
     """The same of lines `v x y z red green blue`, as MeshLab and CloudCompare write them."""
-    lines = [line for line in data.splitlines() if line.startswith((b"v ", b"v\t"))]
-    words = [line.split()[1:7] for line in lines]
-    if not words or any(len(each) != 6 for each in words):
+    corners = (line[:_OBJ_LINE] for line in io.BytesIO(data) if line.startswith((b"v ", b"v\t")))
+    first = next(corners, None)
+    if first is None:
         return None
-    try:
-        rows = np.array(words, dtype="S32").astype(np.float32)
+    try:  # line after line: the words of a whole file take ten times its bytes
+        rows = np.loadtxt(chain([first], corners), np.float32, usecols=range(1, 7), ndmin=2, comments=None)
     except ValueError:
         return None
     return rows[:, :3].copy(), dc_of_colors(rows[:, 3:], rows.dtype)

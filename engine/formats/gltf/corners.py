@@ -1,0 +1,133 @@
+"""Colored corners of meshes, and colored points, in glTF: by colors at the corners, and by the material's texture.
+
+Khronos Group, "glTF 2.0 Specification", sections 3.7.2 and 3.9.2: the color is the product of both and of a factor, in
+linear light.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.formats.gltf.container import Asset, unpack
+from engine.formats.gltf.nodes import primitives_of, shown_meshes
+from engine.formats.guards import check_count
+from engine.formats.image_files import MAX_PIXELS_TOGETHER, read_picture
+from engine.model import Float32, Float64
+from engine.numerics.srgb import from_linear, to_linear
+
+__all__ = ["read_corners"]
+
+_UNDERSTOOD = {"KHR_mesh_quantization", "KHR_materials_unlit", "EXT_texture_webp"}
+_AS_SHOWN = ("trimesh", "open3d", "tinygltf", "meshlab", "vcg")
+"""Parts of the names of programs that store colors at corners as screens show them, against the specification."""
+
+
+def read_corners(data: bytes, *, file: str) -> tuple[Float32, Float32] | None:
+    """Places and colors (0 to 1, as screens show them), (N, 3) each, of all that the scene shows; None where nothing
+    has colors, or the asset needs an extension that is not understood. Errors are those of `read_gltf`."""
+    asset = unpack(data, file=file)
+    if not set(map(str, asset.rows("extensionsRequired"))) <= _UNDERSTOOD:
+        return None
+    shown = [
+        (primitive, matrix)
+        for mesh, matrix in shown_meshes(asset)
+        for primitive in primitives_of(asset, mesh)
+        if _has_colors(asset, primitive)
+    ]
+    if not shown:
+        return None
+    check_count(sum(asset.length(each["attributes"].get("POSITION")) for each, _ in shown), len(data), file=file)
+    textures = _Textures(asset)
+    places, colors = zip(*(_corners(asset, primitive, matrix, textures) for primitive, matrix in shown), strict=True)
+    return np.concatenate(places), np.concatenate(colors)
+
+
+def _has_colors(asset: Asset, primitive: Mapping[str, Any]) -> bool:
+    attributes = primitive.get("attributes")
+    if not isinstance(attributes, dict):
+        raise asset.fault("is missing", "primitive", "attributes")
+    return "COLOR_0" in attributes or _texture(asset, primitive) is not None
+
+
+def _corners(
+    asset: Asset, primitive: Mapping[str, Any], matrix: Float64, textures: "_Textures"
+) -> tuple[Float32, Float32]:
+    attributes = primitive["attributes"]
+
+    def values(name: str, *widths: int) -> npt.NDArray[np.float32]:
+        found = asset.values(attributes.get(name), widths, name)
+        if len(found) != asset.length(attributes["POSITION"]):
+            raise asset.fault(f"has {len(found)} rows, POSITION another number", "primitive", name)
+        return found
+
+    points = values("POSITION", 3)
+    light: Float64 = np.ones((len(points), 3))
+    if "COLOR_0" in attributes:
+        stored = np.clip(values("COLOR_0", 3, 4)[:, :3], 0, 1).astype(np.float64)
+        light = to_linear(stored) if _is_as_shown(asset) else stored
+    if (texture := _texture(asset, primitive)) is not None:
+        light = light * to_linear(textures.sample(texture, values("TEXCOORD_0", 2)))
+    factor = _base(asset, primitive).get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])
+    sound = isinstance(factor, list) and len(factor) == 4
+    if not sound or not all(type(each) in (int, float) and 0 <= each <= 1 for each in factor):
+        raise asset.fault("is no list of 4 numbers from 0 to 1", "materials", "baseColorFactor")
+    light = light * np.array(factor[:3], dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no place is left out
+        placed = (points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+    return placed, from_linear(light).astype(np.float32)
+
+
+def _is_as_shown(asset: Asset) -> bool:
+    about = asset.json.get("asset")
+    generator = str(about.get("generator", "")).lower() if isinstance(about, dict) else ""
+    return any(name in generator for name in _AS_SHOWN)
+
+
+def _base(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What the primitive's material says of its base color; empty where it has none."""
+    if "material" not in primitive:
+        return {}
+    found = asset.row("materials", primitive["material"]).get("pbrMetallicRoughness", {})
+    if not isinstance(found, dict):
+        raise asset.fault("is no object", "materials", "pbrMetallicRoughness")
+    return found
+
+
+def _texture(asset: Asset, primitive: Mapping[str, Any]) -> int | None:
+    """The buffer view with the picture of the base color, where its coordinates are there and plain."""
+    info = _base(asset, primitive).get("baseColorTexture")
+    if not isinstance(info, dict) or info.get("texCoord", 0) != 0 or "extensions" in info:
+        return None
+    texture = asset.row("textures", info.get("index"))
+    extensions = texture.get("extensions", {})
+    webp = extensions.get("EXT_texture_webp", {}) if isinstance(extensions, dict) else {}
+    index = texture.get("source", webp.get("source") if isinstance(webp, dict) else None)
+    view = None if index is None else asset.row("images", index).get("bufferView")
+    return view if type(view) is int and "TEXCOORD_0" in primitive["attributes"] else None
+
+
+class _Textures:
+    """The pictures of an asset, each decoded once, and no more of them than of one suspect's."""
+
+    def __init__(self, asset: Asset) -> None:
+        self._asset, self._left = asset, MAX_PIXELS_TOGETHER
+        self._decoded: dict[int, Float32] = {}
+
+    def sample(self, view: int, at: npt.NDArray[np.float32]) -> Float64:
+        """(N, 3) sRGB values at texture coordinates, of the nearest pixel; the picture repeats beyond its borders."""
+        if view not in self._decoded:
+            try:
+                self._decoded[view] = read_picture(self._asset.blob(view), "texture")
+            except FormatError as error:
+                raise self._asset.fault(error.message, "images") from None
+            self._left -= self._decoded[view].size // 3
+            if self._left < 0:
+                raise self._asset.fault(f"its textures have more than {MAX_PIXELS_TOGETHER:,} pixels", "images")
+        pixels = self._decoded[view]
+        height, width = pixels.shape[:2]
+        sound = np.where(np.isfinite(at), at, 0.0).astype(np.float64) % 1.0
+        column, row = (np.minimum((sound[:, i] * n).astype(np.int64), n - 1) for i, n in ((0, width), (1, height)))
+        return np.asarray(pixels[row, column], dtype=np.float64)

@@ -1,0 +1,186 @@
+"""Colored points and corners of meshes, as suspects: what each kind of file says of places and colors."""
+
+from __future__ import annotations
+
+import io
+import tracemalloc
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from engine.errors import FormatError
+from engine.formats.points import read_points
+from engine.model import SH_C0
+from engine.numerics.srgb import from_linear, to_linear
+from tests.formats.gltf_files import glb_of
+
+PLACES = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [1, 2, 3], [4, 5, 6]], np.float32)
+COLORS = np.linspace(0.05, 0.95, 18).reshape(6, 3)
+"""As screens show them."""
+
+
+def colors_in(data: bytes) -> Any:
+    """(N, 3) colors of what is read."""
+    found = read_points(data, file="mesh")
+    assert found is not None
+    model, repairs = found
+    np.testing.assert_allclose(model.means, PLACES, atol=1e-6)
+    assert [each.code for each in repairs] == ["points"]
+    return 0.5 + SH_C0 * model.sh[:, 0].astype(np.float64)
+
+
+def mesh(
+    attributes: dict[str, tuple[Any, str]], generator: str = "", blobs: tuple[bytes, ...] = (), **json: Any
+) -> bytes:
+    """A GLB of one primitive; each attribute has values and a component type's number after its kind."""
+    views, accessors, binary, numbers = [], [], b"", {}
+    codes = {"u1": 5121, "u2": 5123, "f4": 5126}
+    for name, (values, code) in attributes.items():
+        data = np.ascontiguousarray(values, "<" + code).tobytes()
+        numbers[name] = len(accessors)
+        kind = f"VEC{values.shape[1]}"
+        accessors.append(
+            {"bufferView": len(views), "componentType": codes[code], "count": len(values), "type": kind}
+            | ({"normalized": True} if code != "f4" else {})
+        )
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+        binary += data + bytes(-len(data) % 4)
+    for blob in blobs:
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(blob)})
+        binary += blob + bytes(-len(blob) % 4)
+    primitive = {"attributes": numbers} | ({"material": 0} if "materials" in json else {})
+    parsed = {
+        "asset": {"version": "2.0", "generator": generator},
+        "meshes": [{"primitives": [primitive]}],
+        "nodes": [{"mesh": 0}],
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    return glb_of(parsed | json, binary)
+
+
+@pytest.mark.parametrize(("code", "most", "slack"), [("f4", 1.0, 1e-6), ("u2", 65535, 2e-3), ("u1", 255, 0.04)])
+@pytest.mark.parametrize("width", [3, 4])
+def test_colors_at_corners_are_linear_light(code: str, most: float, slack: float, width: int) -> None:
+    light = np.ones((6, width))
+    light[:, :3] = to_linear(COLORS)
+    stored = light * most if most == 1 else np.rint(light * most)
+    found = colors_in(mesh({"POSITION": (PLACES, "f4"), "COLOR_0": (stored, code)}))
+    np.testing.assert_allclose(found, COLORS, atol=slack)
+
+
+def test_some_programs_store_them_as_screens_show_them() -> None:
+    attributes = {"POSITION": (PLACES, "f4"), "COLOR_0": (np.rint(COLORS * 255), "u1")}
+    found = colors_in(mesh(attributes, generator="https://github.com/mikedh/trimesh"))
+    np.testing.assert_allclose(found, COLORS, atol=0.003)
+
+
+def textured(coordinates: Any, **changes: Any) -> bytes:
+    """Six pixels in a row, one for each corner."""
+    picture = io.BytesIO()
+    Image.fromarray(np.rint(COLORS * 255).astype(np.uint8)[None]).save(picture, "PNG")
+    factor = changes.pop("factor", [1.0, 1.0, 1.0, 1.0])
+    said = {"baseColorTexture": {"index": 0}, "baseColorFactor": factor}
+    about: dict[str, Any] = {
+        "materials": [{"pbrMetallicRoughness": said}],
+        "textures": [{"source": 0}],
+        "images": [{"bufferView": 2, "mimeType": "image/png"}],
+    }
+    attributes = {"POSITION": (PLACES, "f4"), "TEXCOORD_0": (coordinates, "f4")}
+    return mesh(attributes, blobs=(picture.getvalue(),), **about | changes)
+
+
+def test_a_texture_gives_its_nearest_pixel_and_repeats() -> None:
+    at = np.stack([(np.arange(6) + 0.5) / 6, np.full(6, 0.3)], axis=1)
+    np.testing.assert_allclose(colors_in(textured(at)), COLORS, atol=0.003)
+    np.testing.assert_allclose(colors_in(textured(at + np.array([2, -3]))), COLORS, atol=0.003)
+    half = colors_in(textured(at, factor=[0.5, 0.5, 0.5, 1]))
+    np.testing.assert_allclose(half, from_linear(to_linear(COLORS) / 2), atol=0.003)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"images": [{"uri": "wood.png"}]},
+        {"textures": [{}]},
+        {"extensionsRequired": ["KHR_draco_mesh_compression"]},
+        {"materials": [{}]},
+    ],
+)
+def test_what_has_no_colors_in_the_file_is_no_suspect(change: dict[str, Any]) -> None:
+    assert read_points(textured(np.zeros((6, 2)), **change), file="x") is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"images": [{"bufferView": 9}]}, "leads nowhere"),
+        ({"images": [{"bufferView": 0}]}, "no readable picture"),
+        ({"textures": []}, "leads nowhere"),
+        ({"factor": ["red"]}, "baseColorFactor"),
+    ],
+)
+def test_damaged_textures_are_named(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(FormatError, match=words):
+        read_points(textured(np.zeros((6, 2)), **change), file="x")
+
+
+def test_a_mesh_shown_ten_thousand_times_is_refused() -> None:
+    attributes = {"POSITION": (np.zeros((200, 3)), "f4"), "COLOR_0": (np.zeros((200, 3)), "f4")}
+    with pytest.raises(FormatError, match="claims 2000000 Gaussians"):
+        read_points(mesh(attributes, nodes=[{"mesh": 0}] * 10_000), file="x")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damage_is_an_error_of_ours_or_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    whole = textured(np.full((6, 2), 0.25), nodes=[{"mesh": 0, "scale": [1, 2, 3]}])
+    for _ in range(150):
+        data = bytearray(whole)
+        at = int(rng.integers(12, len(data)))
+        data[at : at + 1] = bytes(rng.choice(np.frombuffer(b'0"[{e-\xff', np.uint8), 1))
+        with suppress(FormatError):
+            found = read_points(bytes(data), file="x")
+            assert found is None or 1 <= len(found[0]) <= 6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"meshes": [{"primitives": 7}]},
+        {"meshes": [{"primitives": [{"attributes": [1]}]}]},
+        {"materials": [{"pbrMetallicRoughness": 3}]},
+        {"factor": [10**400, 1, 1, 1]},
+        {"factor": [float("nan"), 1, 1, 1]},
+        {"images": [{"bufferView": 10**30}]},
+    ],
+)
+def test_wrong_kinds_of_values_are_named(change: dict[str, Any]) -> None:
+    with pytest.raises(FormatError):
+        read_points(textured(np.zeros((6, 2)), **change), file="x")
+
+
+def test_places_beyond_all_numbers_are_left_out() -> None:
+    places = PLACES.copy()
+    places[2] = 3e38
+    data = textured(np.zeros((6, 2)), nodes=[{"mesh": 0, "scale": [9, 9, 9]}])
+    data = data.replace(PLACES.tobytes(), places.tobytes())
+    found = read_points(data, file="x")
+    assert found is not None
+    assert len(found[0]) == 5
+
+
+def test_an_obj_takes_hardly_more_memory_than_its_bytes() -> None:
+    rows = np.random.default_rng(0).random((20_000, 6))
+    data = "\n".join("v " + " ".join(f"{x:.6f}" for x in row) for row in rows.tolist()).encode()
+    tracemalloc.start()
+    found = read_points(data, file="x")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is not None
+    np.testing.assert_allclose(found[0].means, rows[:, :3], atol=1e-6)
+    assert peak < 6 * len(data)  # of which the model itself takes four; ten and more where every word is an object
