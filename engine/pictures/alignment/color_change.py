@@ -100,7 +100,7 @@ class Alike:
         few = morton_order(self._means)[:: _CONFIG.thinned]
         some = self._means[few[:: _CONFIG.thinned]]
         reach = float(np.median(tree.query(some, k=[min(_CONFIG.reach, len(self._means))], workers=2)[0]))
-        places = np.concatenate([self._means / max(reach, np.finfo(np.float32).tiny), self._colors], axis=1)
+        places = np.concatenate([self._means / max(reach, float(np.finfo(np.float32).tiny)), self._colors], axis=1)
         near = scipy.spatial.cKDTree(places).query(places, k=range(1, most + 1), workers=2)[1]
         wide = scipy.spatial.cKDTree(places[few]).query(places, k=range(1, min(most, len(few)) + 1), workers=2)[1]
         return [*(_mean_over(near[:, :size]) for size in _CONFIG.alike), _mean_over(few[wide])]
