@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from engine.flows.views.camera_rig import make_rig, measure_extent
-from engine.lab.evaluate.bench.removal import wash
+from engine.lab.evaluate.bench.removal import own_cells, wash
 from engine.lab.sim.adversaries.laundering import smooth
 from engine.model import Bool, Float32, GaussianModel
 from engine.pictures.alignment.color_change import (
+    Alike,
     ColorChange,
     ColorSmoothing,
     Denoising,
@@ -40,7 +41,8 @@ def found(drawn: Rendering, picture: Float32, usable: Bool | None = None) -> Col
     plain, colors = np.clip(drawn.image, 0.0, 1.0), drawn.model.sh[:, 0]
     usable = drawn.alpha > CONFIG.color_change.opaque if usable is None else usable
     seen = (colors, drawn.view, plain, picture, usable)
-    return find_color_change(Neighborhoods(drawn.model.means), lambda: misfit(drawn.model), *seen)
+    near = Neighborhoods(drawn.model.means), Alike(drawn.model.means, colors)
+    return find_color_change(*near, lambda: misfit(drawn.model), *seen)
 
 
 def misfit(model: GaussianModel) -> Misfit:
@@ -61,6 +63,26 @@ def test_smoothed_colors_are_found_again(drawn: Rendering, neighbors: int, quali
     original, wanted = drawn.model.sh[:, 0], washed.sh[:, 0]
     off = np.square(smoothing.apply(original) - wanted).mean()
     assert off < 0.1 * np.square(original - wanted).mean()
+
+
+@pytest.mark.parametrize("count", [1400, 700])
+def test_means_of_unknown_cells_are_explained_by_neighbors_of_like_color(model: GaussianModel, count: int) -> None:
+    drawn = draw(model, make_rig(model, 2, 320, 320)[0])
+    washed = own_cells(model, count, 1)
+    smoothing = found(drawn, shown(washed, drawn))
+    assert isinstance(smoothing, ColorSmoothing)
+    assert isinstance(smoothing.neighborhoods, Alike)
+    original, wanted = drawn.model.sh[:, 0], washed.sh[:, 0]
+    off = np.square(smoothing.apply(original) - wanted).mean()
+    assert off < 0.6 * np.square(original - wanted).mean()
+
+
+def test_means_of_like_colors_have_their_adjoint(model: GaussianModel) -> None:
+    rng, alike = np.random.default_rng(1), Alike(model.means, model.sh[:, 0])
+    x, y = (rng.standard_normal((len(model), 3)).astype(np.float32) for _ in range(2))
+    for there, back in zip(alike.averaged(x), alike.adjoint(y), strict=True):
+        assert float((there * y).sum()) == pytest.approx(float((x * back).sum()), rel=1e-3, abs=0.1)
+    assert all(np.allclose(each, 1.0, atol=1e-4) for each in alike.averaged(np.ones_like(x)))
 
 
 def test_a_tone_curve_hides_no_smoothing(drawn: Rendering) -> None:

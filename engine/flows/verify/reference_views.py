@@ -14,7 +14,7 @@ from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.pictures.alignment.blur import Blur
-from engine.pictures.alignment.color_change import ColorChange, Misfit, Neighborhoods, find_color_change
+from engine.pictures.alignment.color_change import Alike, ColorChange, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import ViewerTone, find_viewer_tone
 from engine.raster import RasterSettings, View, draw, prepare_view, sh_colors
@@ -82,6 +82,10 @@ class ReferenceViews:
         return Neighborhoods(self.opened.reference.means)
 
     @cached_property
+    def _alike(self) -> Alike:
+        return Alike(self.opened.reference.means, self.opened.reference.sh[:, 0])
+
+    @cached_property
     def _misfit(self) -> Misfit:
         reference, layout = self.opened.reference, self.opened.layout
         size = np.sqrt(np.square(layout.displace(self.opened.strength * layout.amplitudes)).mean())
@@ -96,7 +100,7 @@ class ReferenceViews:
         usable = mask & (view.alpha > OPAQUE)
         colors = self.opened.reference.sh[:, 0]
         seen = (colors, view.view, view.plain, picture, usable)
-        change = find_color_change(self._neighborhoods, lambda: self._misfit, *seen)
+        change = find_color_change(self._neighborhoods, self._alike, lambda: self._misfit, *seen)
         return None if change is None else ReferenceViews(self.opened, change)
 
 

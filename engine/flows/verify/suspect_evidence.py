@@ -28,7 +28,7 @@ from engine.numerics.similarity import mirror_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
 from engine.pictures.alignment.blur import Blur, find_blur
-from engine.pictures.alignment.color_change import ColorChange, ColorSmoothing
+from engine.pictures.alignment.color_change import Alike, ColorChange, ColorSmoothing
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import (
     Alignment,
@@ -399,6 +399,8 @@ def _how_changed(reference: ReferenceViews) -> Iterator[str]:
 
 def _washed(what: str, change: ColorChange) -> str:
     how = "averaged over neighbors" if isinstance(change, ColorSmoothing) else "denoised"
+    if isinstance(change, ColorSmoothing) and isinstance(change.neighborhoods, Alike):
+        how = "averaged over neighbors of like color"
     return f"{what} a model whose colors were {how}: it was compared with the original changed alike"
 
 

@@ -9,10 +9,12 @@ far as the washing left it.
 2. *Averaging*: the colors of the reference are averaged over 8 neighbors again and again: after 1, 4 and 16 rounds,
    which come to about 8, 32 and 128 neighbors. The picture is regressed on the renders of these. The shares are those
    of one linear map of the colors, near enough to whatever average was taken.
-3. *Denoising*: what a color is not explained by its neighborhood's (`misfit`, from the public cells) is taken off, up
+3. *Cells*: means of cells in place and color. Where the borders lay is not known; on average over all borders, a color
+   became the mean of those that are near in both. So the picture is regressed on renders of such means.
+4. *Denoising*: what a color is not explained by its neighborhood's (`misfit`, from the public cells) is taken off, up
    to some limit. The picture is regressed on renders of the misfit of the reference, limited at several sizes. How a
    small displacement comes through follows from the slope of that curve.
-4. What explains the picture better counts, if it is clearly better than the reference.
+5. What explains the picture better counts, if it is clearly better than the reference.
 
 Nothing here sees a key or a chip.
 """
@@ -31,7 +33,7 @@ from engine.model import SH_C0, Bool, Float32, Float64, Int64
 from engine.pictures.alignment.config import CONFIG
 from engine.raster import View
 
-__all__ = ["ColorChange", "ColorSmoothing", "Denoising", "Misfit", "Neighborhoods", "find_color_change"]
+__all__ = ["Alike", "ColorChange", "ColorSmoothing", "Denoising", "Misfit", "Neighborhoods", "find_color_change"]
 
 _CONFIG = CONFIG.color_change
 
@@ -52,9 +54,8 @@ class Neighborhoods:
     def _average(self) -> scipy.sparse.csr_array:
         """(N, N) the mean over the nearest, itself among them."""
         count, nearest = len(self._means), min(_CONFIG.neighbors, len(self._means))
-        near = scipy.spatial.cKDTree(self._means).query(self._means, k=nearest, workers=2)[1].reshape(-1)
-        shares = np.full(len(near), 1.0 / nearest, dtype=np.float32)
-        return scipy.sparse.csr_array((shares, near, np.arange(0, len(near) + 1, nearest)), shape=(count, count))
+        near = scipy.spatial.cKDTree(self._means).query(self._means, k=nearest, workers=2)[1]
+        return _mean_over(near.reshape(count, nearest))
 
     def averaged(self, values: Float32) -> Iterator[Float32]:
         """Values of each Gaussian (N, C) as they are, and averaged ever more often."""
@@ -78,6 +79,51 @@ class Neighborhoods:
         yield from _rounds(self._average.T.tocsr(), values)
 
 
+class Alike:
+    """Averages of colors over Gaussians that are near in place and color, as those of a cell are.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+        Centers of the reference's Gaussians.
+    colors : (N, 3) float32
+        Their DC coefficients.
+    """
+
+    def __init__(self, means: Float32, colors: Float32) -> None:
+        self._means, self._colors = means, colors
+
+    @cached_property
+    def _averages(self) -> list[scipy.sparse.csr_array]:
+        """(N, N) the means over the fewest, and over more; over the most among a part of them, which costs less."""
+        tree, most = scipy.spatial.cKDTree(self._means), min(_CONFIG.alike[-1], len(self._means))
+        few = morton_order(self._means)[:: _CONFIG.thinned]
+        some = self._means[few[:: _CONFIG.thinned]]
+        reach = float(np.median(tree.query(some, k=[min(_CONFIG.reach, len(self._means))], workers=2)[0]))
+        places = np.concatenate([self._means / max(reach, float(np.finfo(np.float32).tiny)), self._colors], axis=1)
+        near = scipy.spatial.cKDTree(places).query(places, k=range(1, most + 1), workers=2)[1]
+        wide = scipy.spatial.cKDTree(places[few]).query(places, k=range(1, min(most, len(few)) + 1), workers=2)[1]
+        return [*(_mean_over(near[:, :size]) for size in _CONFIG.alike), _mean_over(few[wide])]
+
+    def averaged(self, values: Float32) -> Iterator[Float32]:
+        """Values of each Gaussian (N, C) as they are, and averaged ever more widely."""
+        yield values
+        yield from (average @ values for average in self._averages)
+
+    def adjoint(self, values: Float32) -> Iterator[Float32]:
+        """The transposes of the averages."""
+        yield values
+        yield from (average.T @ values for average in self._averages)
+
+
+def _mean_over(near: Int64) -> scipy.sparse.csr_array:
+    """(N, N) the mean over the Gaussians near each (N, K)."""
+    count, each = near.shape
+    shares = np.full(near.size, 1.0 / each, dtype=np.float32)
+    rows = np.arange(0, near.size + 1, each)
+    return scipy.sparse.csr_array((shares, near.reshape(-1), rows), shape=(count, count))
+
+
 def _rounds(average: scipy.sparse.csr_array, values: Float32) -> Iterator[Float32]:
     yield values
     for number in range(1, _CONFIG.rounds[-1] + 1):
@@ -90,7 +136,7 @@ def _rounds(average: scipy.sparse.csr_array, values: Float32) -> Iterator[Float3
 class ColorSmoothing:
     """What became of a model's colors: a sum of their averages."""
 
-    neighborhoods: Neighborhoods
+    neighborhoods: Neighborhoods | Alike
     shares: Float64  # (K,) of the colors as they were, and of each average; sum 1
 
     def apply(self, colors: Float32) -> Float32:
@@ -171,6 +217,7 @@ ColorChange = ColorSmoothing | Denoising
 
 def find_color_change(
     neighborhoods: Neighborhoods,
+    alike: Alike,
     misfit: Callable[[], Misfit],
     colors: Float32,
     view: View,
@@ -183,6 +230,8 @@ def find_color_change(
     Parameters
     ----------
     neighborhoods : Neighborhoods
+        Of the reference.
+    alike : Alike
         Of the reference.
     misfit : callable
         Of its colors; called where the first look shows something.
@@ -211,11 +260,19 @@ def find_color_change(
 
     if _fit([shown(neighborhoods.runs(colors) - colors)], base, seen)[1] < _CONFIG.looks:
         return None
-    _, *averages = neighborhoods.averaged(colors)
-    shares, smoothed = _fit([shown(each - colors) for each in averages], base, seen)
-    smoothing = ColorSmoothing(neighborhoods, np.concatenate([[1.0 - shares.sum()], shares]))
+
+    def smooth(over: Neighborhoods | Alike) -> tuple[ColorSmoothing, float]:
+        _, *averages = over.averaged(colors)
+        shares, explained = _fit([shown(each - colors) for each in averages], base, seen)
+        return ColorSmoothing(over, np.concatenate([[1.0 - shares.sum()], shares])), explained
+
+    smoothing, smoothed = smooth(neighborhoods)
     if smoothed > _CONFIG.surely:
         return smoothing
+    if len(colors) <= _CONFIG.most_alike:
+        cells, told = smooth(alike)
+        if told > smoothed + _CONFIG.clearly:
+            smoothing, smoothed = cells, told
     rest = misfit()
     times, denoised = _fit([shown(rest.limited(limit)) for limit in _CONFIG.limits], base, seen)
     denoising = Denoising(rest, times, neighborhoods)

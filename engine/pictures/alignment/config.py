@@ -99,7 +99,17 @@ class ColorChangeConfig:
     # Share of what the picture is off by that runs must explain in the first look: 0.4 and more of averaged colors,
     # 0.05 and more of denoised ones; of others below 0.016, but for blurred pictures (0.13)
     looks: float = 0.03
-    surely: float = 0.6  # share that averages explain from which nothing else is tried
+    # Share that averages over neighbors explain from which nothing else is tried: they explain 0.90 to 0.94 where the
+    # colors were averaged so, 0.65 at most where they were averaged in cells
+    surely: float = 0.85
+    # By which averages over neighbors of like color must explain more than those over all neighbors: of colors averaged
+    # in cells 0.14 and more
+    clearly: float = 0.1
+    alike: tuple[int, ...] = (16, 64)  # neighbors of like color over which an average is taken
+    thinned: int = 4  # and over the last number among every so many Gaussians: four times as wide
+    # Neighbors within whose distance a place counts as much as a unit of color, the Gaussian itself among them
+    reach: int = 33
+    most_alike: int = 500_000  # Gaussians of a model that is averaged so: 1 kB each
     explained: float = 0.3  # and that the better of both must
     # Of a displacement of one color, below which a denoising is none that a curve describes: with all of a misfit gone,
     # what is left lies in other cells, and reading by the curve lost three quarters of z
