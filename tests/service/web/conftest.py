@@ -30,7 +30,7 @@ SCREENSHOTS = Path(__file__).parents[3] / "out" / "screenshots"  # ignored by gi
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 740}
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """`mark3dgs serve` with one worker in an empty folder."""
     if CHROMIUM is None:

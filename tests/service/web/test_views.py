@@ -19,7 +19,7 @@ AXE = (Path(__file__).parent / "axe" / "axe.min.js").read_text()
 VIEWS = ("gate", "mark", "check", "jobs", "library", "settings", "asset", "claim")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def stocked(served: Served) -> dict[str, str]:
     """Address of each view, with an asset and a claim in the service."""
     asset, claim = stock(served)
