@@ -2,6 +2,7 @@
 # make test -> what must hold before a change lands; make full -> that, and every study, bench and viewer: before a release;
 # make quick -> the checks for daily work, under three minutes on two cores: rules and units, no long flow;
 # make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the laboratory, without its long studies;
+# make room-test ROOMS="tests/formats ..." -> what make test leaves to changes of these rooms;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
 # make results -> the README's figure, measured anew on the shipped scene (about half an hour on two cores);
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
@@ -19,7 +20,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # In the order of tests/conftest.py, longest files first; by default files of few tests, however long, would come last.
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-.PHONY: install demo test full quick core-test lab-test mutants results docker-test check kernels rewritten clean
+.PHONY: install demo test full quick core-test lab-test room-test mutants results docker-test check kernels rewritten clean
 
 install: $(STAMP) kernels
 
@@ -60,13 +61,17 @@ full: $(STAMP)
 
 quick: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels rewritten
-	$(PYTEST) -m 'not docker and not lab and not slow and not long' $(addprefix tests/,$(UNITS))
+	$(PYTEST) -m 'not docker and not lab and not slow and not long and not room' $(addprefix tests/,$(UNITS))
 
 core-test: $(STAMP)
 	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install tests/end_to_end/test_cli_machines.py
 
 lab-test: $(STAMP) kernels
 	$(PYTEST) -m "not docker and not long" tests/lab
+
+# What of tests/conftest.py's OF_ONE_ROOM lies in these folders.
+room-test: $(STAMP) kernels
+	$(PYTEST) -m "room and not long" $(ROOMS)
 
 mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(MUTANTS)

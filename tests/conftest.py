@@ -11,6 +11,21 @@ import pytest
 from engine.flows.verify.config import CONFIG
 
 TESTS = Path(__file__).parent
+OF_ONE_ROOM = {
+    "catalogue": "catalogue",
+    "formats": "usd gltf_hostile oracles every_pair",
+    "kernels": "native_check machine_code kernel_cache",
+    "pictures": "cropped_cameras uneven_pixels blur view_climb plain_ground residual light_and_tone local_alignment",
+    "registration": "deformed merged sketch mirrors shares",
+    "service/api": "upload_protocol hostile",
+    "service/cli": "one_service",
+    "service/jobs": "turns port",
+    "service/trust": "audit master",
+    "service/web": "behaviour claim_view digests jobs lists settings",
+    "service/work": "by_content variants",
+}
+"""Files of tests, by folder, of how one room works inside, which take long: `.ci/run` plays them where a change touches
+that room of the engine or the service, `make full` always; `make test` plays what other rooms notice of it."""
 TOGETHER = tuple(
     f"tests/{name}/" for name in ("service/web", "end_to_end", "service/work", "service/api", "architecture")
 )
@@ -81,7 +96,12 @@ hypothesis.settings.register_profile("shared machine", deadline=None)
 hypothesis.settings.load_profile("shared machine")
 
 
+@pytest.hookimpl(tryfirst=True)  # before they are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rooms = {TESTS / room / f"test_{name}.py" for room, names in OF_ONE_ROOM.items() for name in names.split()}
+    for item in items:
+        if item.path in rooms:
+            item.add_marker("room")
     places = {TESTS / name: place for place, name in enumerate(STARTED_FIRST)}
     items.sort(key=lambda item: places.get(item.path, places.get(item.path.parent, len(places))))
 

@@ -44,7 +44,9 @@ def test_counts_that_lie_are_refused():
     with pytest.raises(FormatError, match="holds 0 Gaussians"):
         read_spz(gzipped(3, 0, 0, [b""]), file="x")
     with pytest.raises(FormatError, match="follow the gzip stream"):
-        read_spz(gzipped(3, 10, 0, sections) * 2, file="x")
+        read_spz(gzipped(3, 10, 0, sections) + b"more", file="x")
+    with pytest.raises(FormatError, match="more than the 200 bytes"):
+        read_spz(gzipped(3, 10, 0, sections) * 2, file="x")  # several members are one stream
     with pytest.raises(FormatError, match="more than the 200 bytes"):
         read_spz(gzipped(3, 10, 0, sections, bytes(8)), file="x")
     with pytest.raises(FormatError, match="claims 9 bytes"):
