@@ -133,7 +133,8 @@ def gather(
     for row, info in zip(rows, infos, strict=True):
         if (found := info.get("kind", kind)) != kind:
             text = f"{row.name or row.id!r} is no {kind}: its bytes are those of a {found} file"
-            raise Problem(WRONG_KIND[kind], text + (": send pictures as such" if found == "picture" else ""))
+            where = "; POST /v1/verify takes pictures as 'images', uploads of them as 'image_upload_ids'"
+            raise Problem(WRONG_KIND[kind], text + (where if found == "picture" else ""))
     together = sum(info.get("width", 0) * info.get("height", 0) for info in infos)
     if together > MAX_PIXELS_TOGETHER:
         text = f"the pictures have {together:,} pixels together, more than {MAX_PIXELS_TOGETHER:,}"

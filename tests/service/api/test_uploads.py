@@ -162,7 +162,9 @@ def test_an_upload_of_cameras_and_of_a_picture(api: Api) -> None:
     slot = api.upload(png, "a.png")
     assert api.client.get(f"/v1/uploads/{slot}").json()["info"]["kind"] == "picture"
     embed = {"upload_id": slot, "key_id": api.key()}
-    assert api.client.post("/v1/embed", json=embed).json()["type"].endswith("unreadable-model")
+    answer = api.client.post("/v1/embed", json=embed).json()
+    assert answer["type"].endswith("unreadable-model")
+    assert "takes pictures as 'images'" in answer["detail"]
     slot = api.client.post("/v1/uploads", json={}).json()["id"]
     assert api.client.put(f"/v1/uploads/{slot}", content=b"[{}]").json()["type"].endswith("unreadable-cameras")
     slot = api.client.post("/v1/uploads", json={}).json()["id"]
