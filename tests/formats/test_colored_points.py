@@ -129,6 +129,12 @@ def test_damaged_textures_are_named(change: dict[str, Any], words: str) -> None:
         read_points(textured(np.zeros((6, 2)), **change), file="x")
 
 
+def test_textures_have_no_more_pixels_than_the_pictures_of_a_suspect(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("engine.formats.gltf.corners.MAX_PIXELS_TOGETHER", 5)
+    with pytest.raises(FormatError, match="more than 5 pixels"):
+        read_points(textured(np.zeros((6, 2))), file="x")
+
+
 def test_a_mesh_shown_ten_thousand_times_is_refused() -> None:
     attributes = {"POSITION": (np.zeros((200, 3)), "f4"), "COLOR_0": (np.zeros((200, 3)), "f4")}
     with pytest.raises(FormatError, match="claims 2000000 Gaussians"):

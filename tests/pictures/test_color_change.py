@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,6 +77,16 @@ def test_means_of_unknown_cells_are_explained_by_neighbors_of_like_color(model: 
     original, wanted = drawn.model.sh[:, 0], washed.sh[:, 0]
     off = np.square(smoothing.apply(original) - wanted).mean()
     assert off < 0.6 * np.square(original - wanted).mean()
+
+
+def test_large_models_are_not_compared_with_means_of_like_colors(
+    model: GaussianModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = replace(CONFIG.color_change, most_alike=len(model) - 1)
+    monkeypatch.setattr("engine.pictures.alignment.color_change._CONFIG", few)
+    drawn = draw(model, make_rig(model, 2, 320, 320)[0])
+    change = found(drawn, shown(own_cells(model, 700, 1), drawn))
+    assert not isinstance(change, ColorSmoothing) or not isinstance(change.neighborhoods, Alike)
 
 
 def test_means_of_like_colors_have_their_adjoint(model: GaussianModel) -> None:
