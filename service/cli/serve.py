@@ -70,7 +70,7 @@ def serve(
     count = settings.workers if workers is None else workers
     lock = hold(settings.data_dir, "serve") if count else None  # before a database is opened, which changes it
     _check_free(host, port)
-    settings, service = start(console, may_make=True, patience=settings.database_wait_seconds)
+    settings, service = start(console, may_make=True, waits=True)
     if (signer := signer_of(settings)) is not None:  # what is wrong with it is said now, not at the first download
         require()
         until = f"{signer.certificate.not_valid_after_utc:%Y-%m-%d}"
@@ -115,8 +115,7 @@ def worker(
     from service.worker import run_worker
 
     log.set_up()
-    patience = settings_of().database_wait_seconds
-    _, service = start(Console(machine=False), patience=patience, die_with_parent=die_with_parent)
+    _, service = start(Console(machine=False), waits=True, die_with_parent=die_with_parent)
     run_worker(service, name, die_with_parent)
 
 
@@ -152,17 +151,18 @@ def settings_of() -> Settings:
 
 
 def start(
-    console: Console, *, may_make: bool = False, patience: float = 0.0, die_with_parent: bool = False
+    console: Console, *, may_make: bool = False, waits: bool = False, die_with_parent: bool = False
 ) -> tuple[Settings, Service]:
     """Open the service; the first start makes its keys and prints a note. InputError where there is none to open.
 
-    A database server that does not answer is waited for, `patience` seconds at most (then TimeoutError); one that
-    refuses these settings is an InputError at once. With `die_with_parent` the wait ends when standard input does.
+    A database server that does not answer is a TimeoutError, with `waits` after MARK3DGS_DATABASE_WAIT_SECONDS; one
+    that refuses these settings is an InputError at once. With `die_with_parent` the wait ends when standard input does.
     """
     from service.db.database import refusal, server_of
     from service.trust.api_keys import FIRST_TENANT
 
     settings = settings_of()
+    patience = settings.database_wait_seconds if waits else 0.0
     until, pause = time.monotonic() + patience, FIRST_PAUSE_SECONDS
     while True:
         try:

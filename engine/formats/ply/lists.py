@@ -39,7 +39,7 @@ def _plain(data: bytes | memoryview, header: Header, element: Element, offset: i
     plain = replace(element, properties=tuple(properties))
     if len(plain.names) < len(properties):
         return element
-    if header.byte_order:  # a line of text of another length is told when it is read
+    if header.byte_order:  # in ASCII files, the reader reports rows of another length
         there = min(element.count, max(len(data) - offset, 0) // plain.stride)
         rows = np.frombuffer(data, plain.dtype(header.byte_order), there, offset)
         if any((rows[p.name] != n).any() for p, n in zip(element.properties, first, strict=True) if p.is_list):

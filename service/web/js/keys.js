@@ -24,7 +24,7 @@ export async function listKeys() {
   showMaking(none || !$("#key-make").hidden); // who is making a key is not interrupted
 }
 
-/** List none, whatever is still being asked for. */
+/** Empty the list of owner keys. A list that was requested before and arrives later is ignored. */
 export function dropKeys() {
   asked++;
   fill($("#mark-key"));
