@@ -17,6 +17,7 @@ export function assetView(asset, { title, made = {}, again } = {}) {
   const viewer = may("originals") ? new Viewer(asset) : null; // it shows the original, too
   const preview = h("figure", { class: "preview" });
   const { report } = asset;
+  const alone = pruned(report) ? " of the watermark alone" : "";
   const element = h("div", { class: "result" },
     h("div", { class: "result-head" }, heading,
       again ? h("button", { type: "button", class: "quiet", onclick: again }, "Mark another") : null),
@@ -24,11 +25,11 @@ export function assetView(asset, { title, made = {}, again } = {}) {
     made.not_screened ? h("p", { class: "hint" },
       `It resembles more registered copies than were checked: ${count(made.not_screened)} were not checked.`) : null,
     h("dl", { class: "facts" },
-      fact("Fidelity", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, pruned(report) ? "PSNR of the watermark alone, worst view" : "PSNR, worst view")),
-      pruned(report) ? fact("In total", `${report.psnr_total_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR with pruning, worst view")) : null,
+      fact("Fidelity", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, `PSNR${alone}, worst view`)),
+      alone ? fact("In total", `${report.psnr_total_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR with pruning, worst view")) : null,
       report.psnr_as_written === undefined ? null :
         fact("As written", `${report.psnr_as_written.toFixed(1)} dB`, h("small", {}, `PSNR of the .${asset.model_format} file`)),
-      fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, pruned(report) ? "SSIM of the watermark alone, worst view" : "SSIM, worst view")),
+      fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, `SSIM${alone}, worst view`)),
       fact("Gaussians", count(asset.gaussians),
         h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),
       fact("Message", h("code", {}, asset.message), h("small", {}, `${report.bits} bits`)),
