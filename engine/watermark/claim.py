@@ -329,7 +329,7 @@ class _Needed(NamedTuple):
 def _unmeasured(derivation: Derivation) -> str:
     """Nothing of the suspect would show a watermark, were it there."""
     if derivation.derived and derivation.views is not None:
-        return "the pictures show the asset, but too coarsely to measure a watermark: larger or clearer ones may show more"
+        return "the pictures show the asset, but too coarsely to measure a watermark: larger or clearer ones may help"
     return "no part of the asset could be measured in the suspect"
 
 
