@@ -102,10 +102,8 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
         if claim["derivation"]["derived"]:
             return f"{derived}. The evidence is not sufficient to say whether it carries the registered watermark."
         return f"{_nothing_of(claim)} was recognized in {it}."
-    named = (
-        claim["copy"] and claim.get("copy_named") is not False
-    )  # records of before name one copy by the claim itself
-    whose = f"the copy made for {form.name(claim['copy'])}" if named else "your registered model"
+    named = named_copy(claim)
+    whose = f"the copy made for {form.name(named)}" if named else "your registered model"
     shows = {0: "contains", 1: "shows"}.get(pictures, "show")
     return f"{this} {shows} {whose}, or something made from it: its watermark was found."
 
@@ -120,6 +118,14 @@ def recognizes(claim: Mapping[str, Any]) -> bool:
     return bool(
         claim["verdict"] != "inconclusive" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
     )
+
+
+def named_copy(claim: Mapping[str, Any]) -> str:
+    """Recipient of the copy that the watermark names; empty where it names none, as without a mark.
+
+    Records of formats 1 and 2 name a copy by the claim itself."""
+    named = claim["verdict"] == "marked" and claim.get("copy_named") is not False
+    return (claim["copy"] or "") if named else ""
 
 
 def why_no_bits(claim: Mapping[str, Any]) -> str | None:
@@ -189,7 +195,9 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
 def _copy(claim: Mapping[str, Any], form: Form) -> str:
     """Whose copy the record is of, and whether the suspect is that one."""
     made = f"made for {form.name(claim['copy'])}"
-    if claim["verdict"] != "marked" or claim.get("copy_named") is None:
+    if claim["verdict"] != "marked":
+        return f"the record is of the copy {made}; no copy is named"
+    if claim.get("copy_named") is None:
         return f"the record is of the copy {made}"
     if claim["copy_named"]:
         return f"{made} (z {number(claim['copy_z'])})"

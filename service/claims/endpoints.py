@@ -8,6 +8,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
+from engine.present.wording import named_copy
 from service.claims.document import document_words
 from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
 from service.claims.schema import OwnerStatement
@@ -32,7 +33,7 @@ class ClaimSummary(BaseModel):
     suspects: list[str] = Field(description="Names of the suspect's files; empty for claims of earlier versions.")
     asset_id: str | None
     asset_label: str | None = Field(description="null where no asset was recognised, or it was deleted.")
-    copy_name: str | None = Field(description="Recipient of the copy that was recognised; null where none was.")
+    copy_name: str | None = Field(description="Recipient of the copy that the mark names; null where it names none.")
     verdict: str
     headline: str
     finding: str
@@ -144,5 +145,5 @@ def _summary(row: Any, label: str | None) -> ClaimSummary:
         "suspects": row.names.split("\n") if row.names else [],
     }
     signed = {name: document[name] for name in ("verdict", "log10_false_claim")}
-    about = {"asset_id": row.asset, "asset_label": label, "copy_name": document["copy"]}
+    about = {"asset_id": row.asset, "asset_label": label, "copy_name": named_copy(document) or None}
     return ClaimSummary(id=row.id, created_at=row.created_at, **about, **said, **signed)

@@ -5,7 +5,7 @@ import pytest
 from engine.errors import MalformedRecordError, WrongKeyError
 from engine.present.checks import CHECKS, checks_of, named
 from engine.present.numerals import PLAIN, TYPOGRAPHIC, number, percent, surely, when
-from engine.present.wording import Words, words_of
+from engine.present.wording import Words, named_copy, words_of
 from engine.watermark.rates import BASES, OWNER, Condition, ConditionKind
 
 
@@ -213,6 +213,14 @@ def test_a_copy_is_named_where_it_was_read(named: bool | None, z: float | None) 
     assert ("the copy made for 'acme'" in words.finding) == (named is not False)
     (copy,) = [fact.text for fact in words.facts if fact.label == "copy"]
     assert ("not shown to be the copy" in copy) == (named is False)
+
+
+def test_without_a_mark_no_copy_is_named() -> None:
+    """The evidence may be the same for the records of all copies."""
+    claim = report("inconclusive", copy="acme")
+    assert named_copy(claim) == ""
+    assert "acme" not in words_of(claim, PLAIN).finding
+    assert next(fact.text for fact in words_of(claim, PLAIN).facts if fact.label == "copy").endswith("no copy is named")
 
 
 NOTHING = {"derived": False, "share": 0.0, "gaussians": 0, "exactness": None, "where": None, "views": None}

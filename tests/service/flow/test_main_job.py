@@ -94,7 +94,7 @@ def test_a_copy_is_claimed_and_the_claim_checked_offline(
     assert claim.document["message"]["hex"] == marked.message
     assert claim.document["audit"]["registration"]["entry"]["at"] < claim.document["created_at"]
     assert claim.document["acquisition"]["warc_sha256"] == acquired.warc_sha256
-    assert found.claim_id in [each.id for each in alice.claims()]
+    assert {each.id: each.copy_name for each in alice.claims()}[found.claim_id] == "acme"
     alice.jws(found.claim_id, tmp_path / "claim.jws")
     alice.report(found.claim_id, tmp_path / "report.html")
     (tmp_path / "claim.json").write_text(json.dumps(asdict(claim)))
