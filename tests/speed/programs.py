@@ -1,6 +1,6 @@
 """What is timed, as programs that both checkouts can run; each prints one JSON object of numbers.
 
-They ask for nothing that the first version did not have.
+Only COMMANDS asks for nothing but the command line; the others name modules, by the names of this checkout.
 """
 
 __all__ = ["COMMANDS", "COMPILE", "IMPORTS", "RASTER"]
