@@ -49,9 +49,7 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     file = name or str(source)
     try:
         with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as picture:
-            if picture.width * picture.height > MAX_PICTURE_PIXELS:
-                raise FormatError(f"picture of {picture.width}x{picture.height} pixels is too large", file=file)
-            _refuse_other_content(picture, file)
+            check_picture(picture, file)
             picture.load()
             upright = ImageOps.exif_transpose(picture)
             upright = _in_srgb(upright) if managed else upright
@@ -73,8 +71,11 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     return np.ascontiguousarray(levels / np.float32(255.0))
 
 
-def _refuse_other_content(picture: Image.Image, file: str) -> None:
-    """FormatError where one picture of 8 or 16 bits is not all that the file holds."""
+def check_picture(picture: Image.Image, file: str) -> None:
+    """FormatError where one picture of 8 or 16 bits, and of MAX_PICTURE_PIXELS at most, is not all that the file
+    holds; by its headers."""
+    if picture.width * picture.height > MAX_PICTURE_PIXELS:
+        raise FormatError(f"{picture.width}x{picture.height} pixels, which is too large", file=file)
     frames = getattr(picture, "n_frames", 1)
     if _DNG_VERSION in getattr(picture, "tag_v2", ()):
         raise FormatError("is a camera's raw file (DNG): save the developed picture as PNG or JPEG", file=file)

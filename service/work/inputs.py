@@ -9,7 +9,7 @@ from PIL import ExifTags, Image
 
 from engine.errors import CameraError, FormatError, InputError
 from engine.formats import read_cameras
-from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, is_picture, read_picture
+from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, check_picture, is_picture, read_picture
 from engine.model import Camera, Float32
 from engine.scenes.scene_files import Loaded, read_suspect
 from service.problems import Problem
@@ -75,9 +75,7 @@ def _size(path: Path, number: int) -> tuple[int, int]:
         if not is_picture(path):
             raise Problem("unreadable-image", f"picture {number}: is no PNG, JPEG, WebP, AVIF, BMP, GIF or TIFF")
         with Image.open(path) as picture:
-            if picture.width * picture.height > MAX_PICTURE_PIXELS:
-                size = f"{picture.width}x{picture.height}"
-                raise Problem("unreadable-image", f"picture {number}: {size} pixels, which is too large")
+            check_picture(picture, str(path))
             exif = picture.getexif() if "exif" in picture.info else {}  # of a PNG without, all would be decoded
             lies = exif.get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
             return picture.size[::-1] if lies else picture.size
