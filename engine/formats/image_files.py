@@ -1,6 +1,7 @@
 """Picture files: known by their first bytes, read as floats."""
 
 import io
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,9 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     call `name`; in sRGB where `managed`, else whatever its color profile says. FormatError if it is no picture, is
     damaged, holds several or a camera's raw values, or has more than MAX_PICTURE_PIXELS pixels."""
     file = name or str(source)
+    opened = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
-        with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as picture:
+        with warnings.catch_warnings(action="ignore"), Image.open(opened) as picture:  # of damage that is read around
             check_picture(picture, file)
             picture.load()
             upright = ImageOps.exif_transpose(picture)
@@ -99,6 +101,6 @@ def _in_srgb(picture: Image.Image) -> Image.Image:
         converted = ImageCms.profileToProfile(plain, source, _SRGB, outputMode=output)
     except (ImageCms.PyCMSError, OSError, ValueError):
         return picture
-    if converted is None or np.max(ImageChops.difference(converted, plain.convert(output))) <= _ROUNDING:
+    if converted is None or np.asarray(ImageChops.difference(converted, plain.convert(output))).max() <= _ROUNDING:
         return picture  # sRGB itself, rounded once more, would lose the steps of a JPEG
     return converted

@@ -1,6 +1,7 @@
 """Pictures as found in the wild."""
 
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,9 @@ def test_phone_pictures_are_turned_upright(tmp_path: Path) -> None:
     exif[0x0112] = 6  # turned by 90 degrees
     picture.save(tmp_path / "a.jpg", exif=exif)
     assert read_picture(tmp_path / "a.jpg").shape == (40, 20, 3)
+    picture.save(tmp_path / "cut.jpg", exif=exif.tobytes()[:-8])
+    with warnings.catch_warnings(action="error"):  # nothing of Pillow's on the terminal
+        assert read_picture(tmp_path / "cut.jpg").shape[2] == 3
 
 
 def profiled(**primaries: tuple[float, float, float]) -> bytes:

@@ -237,8 +237,9 @@ def test_text_of_windows_and_with_empty_lines_is_read() -> None:
         row[7] = word
     loaded = read_model(head + end + b"\r\n\r\n".join(b"\t".join(row) for row in rows) + b"\r\n\r\n")
     assert (codes(loaded), len(loaded.model)) == ({"rows_dropped"}, 1)
-    with pytest.raises(FormatError, match=r"row 1.*'1\.#x'"):
-        read_model(head + end + body.replace(body.split(b"\n")[1].split()[0], b"1.#x", 1))
+    for word, told in ((b"1.#x", r"row 1.*'1\.#x'"), (b"0,25", "decimal points")):
+        with pytest.raises(FormatError, match=told):
+            read_model(head + end + body.replace(body.split(b"\n")[1].split()[0], word, 1))
 
 
 def test_kernels_that_are_no_gaussians_are_named() -> None:

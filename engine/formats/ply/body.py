@@ -128,7 +128,8 @@ def _fault(block: list[str], start: int, element: Element, file: str) -> FormatE
             try:
                 np.loadtxt([word], dtype=prop.code, comments=None)
             except (ValueError, OverflowError):
-                message = f"{word[:40]!a} is no {np.dtype(prop.code).name}"
+                hint = " (export it with decimal points)" if "," in word else ""
+                message = f"{word[:40]!a} is no {np.dtype(prop.code).name}{hint}"
                 return FormatError(message, file=file, element=element.name, row=row, prop=prop.name)
     return FormatError("cannot be read", file=file, element=element.name, row=start)
 
