@@ -94,7 +94,8 @@ def _in_srgb(picture: Image.Image) -> Image.Image:
     profile = picture.info.get("icc_profile")
     if not profile:
         return picture
-    plain = picture.convert("RGBA" if "transparency" in picture.info else "RGB") if picture.mode == "P" else picture
+    keyed = "transparency" in picture.info
+    plain = picture.convert("RGBA" if keyed else "RGB") if keyed or picture.mode == "P" else picture
     output = "RGBA" if plain.mode == "RGBA" else "RGB"
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))

@@ -80,6 +80,14 @@ def test_a_screenshot_of_a_wide_gamut_display_is_read_as_srgb(mode: str, tmp_pat
     np.testing.assert_allclose(unmanaged, np.broadcast_to([234 / 255, 0.2, 35 / 255], (4, 4, 3)), atol=0.02)
 
 
+def test_a_profile_leaves_transparency_and_sixteen_bits(tmp_path: Path) -> None:
+    red = Image.new("RGB", (4, 4), (234, 51, 35))
+    red.save(tmp_path / "keyed.png", icc_profile=P3, transparency=(234, 51, 35))
+    assert read_picture(tmp_path / "keyed.png").max() == 0.0
+    Image.fromarray(np.full((4, 4), 32768, dtype=np.uint16)).save(tmp_path / "deep.png", icc_profile=P3)
+    assert np.allclose(read_picture(tmp_path / "deep.png"), 0.5, atol=1e-4)
+
+
 @pytest.mark.parametrize("kind", ["srgb", "damaged", "gray"])
 def test_a_profile_that_changes_nothing_leaves_the_values(kind: str, tmp_path: Path) -> None:
     picture = Image.effect_noise((32, 32), 80).convert("L" if kind == "gray" else "RGB")

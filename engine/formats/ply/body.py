@@ -12,9 +12,8 @@ from engine.errors import FormatError
 from engine.formats.ply.header import Element, Header
 
 _LINES_AT_ONCE = 4096
-_WINDOWS = re.compile(
-    r"[-+]?(nan\((ind|snan)\)|1\.#(ind|inf|qnan|snan)\d*)", re.IGNORECASE
-)  # what its C library writes for no number
+_WINDOWS = re.compile(r"[-+]?(nan\((ind|snan)\)|1\.#(ind|inf|qnan|snan)\d*)", re.IGNORECASE)
+"""What its C library writes for values that are no finite numbers."""
 
 
 def read_tables(
