@@ -1,10 +1,11 @@
 """Picture files: known by their first bytes, read as floats."""
 
 import io
+import warnings
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageChops, ImageCms, ImageOps
 
 from engine.errors import FormatError, InputError
 from engine.formats.splat import looks_like_splat
@@ -14,6 +15,10 @@ MAX_PICTURE_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded: no screen or phone makes them."""
 MAX_PIXELS_TOGETHER = 200_000_000
 """Of all pictures of one suspect: 2.4 GB in memory."""
+
+_DNG_VERSION = 50706  # tag
+_SRGB = ImageCms.createProfile("sRGB")
+_ROUNDING = 2  # levels of 255
 
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
@@ -38,28 +43,65 @@ def is_picture(path: Path, name: str = "") -> bool:
         raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
-def read_picture(source: Path | bytes, name: str = "") -> Float32:
+def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) -> Float32:
     """(H, W, 3) float32 in 0..1, upright, transparent parts over black, of a file, or of its content, which messages
-    call `name`. FormatError if it is no picture, is damaged, or has more than MAX_PICTURE_PIXELS pixels."""
+    call `name`; in sRGB where `managed`, else whatever its color profile says. FormatError if it is no picture, is
+    damaged, holds several or a camera's raw values, or has more than MAX_PICTURE_PIXELS pixels."""
     file = name or str(source)
+    opened = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
-        with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as picture:
-            if picture.width * picture.height > MAX_PICTURE_PIXELS:
-                raise FormatError(f"picture of {picture.width}x{picture.height} pixels is too large", file=file)
+        with warnings.catch_warnings(action="ignore"), Image.open(opened) as picture:  # of damage that is read around
+            check_picture(picture, file)
             picture.load()
             upright = ImageOps.exif_transpose(picture)
+            upright = _in_srgb(upright) if managed else upright
     except FormatError:
         raise
     except Image.DecompressionBombError as error:
         raise FormatError("picture has too many pixels", file=file) from error
-    except (OSError, ValueError, SyntaxError) as error:
+    except Exception as error:  # decoders raise whatever they stumble over
         raise FormatError(f"no readable picture ({error})", file=file) from error
     if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
         gray = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
         return np.ascontiguousarray(np.repeat(np.clip(gray, 0.0, 1.0)[:, :, None], 3, axis=2))
-    if "A" in upright.getbands() or "transparency" in upright.info:
+    # What should be the transparency of a BMP is often 0 everywhere: viewers leave it out.
+    if picture.format != "BMP" and ("A" in upright.getbands() or "transparency" in upright.info):
         layered = upright.convert("RGBA")
         upright = Image.new("RGBA", layered.size, (0, 0, 0, 255))
         upright.alpha_composite(layered)
     levels = np.asarray(upright.convert("RGB"), dtype=np.float32)
     return np.ascontiguousarray(levels / np.float32(255.0))
+
+
+def check_picture(picture: Image.Image, file: str) -> None:
+    """FormatError where one picture of 8 or 16 bits, and of MAX_PICTURE_PIXELS at most, is not all that the file
+    holds; by its headers."""
+    if picture.width * picture.height > MAX_PICTURE_PIXELS:
+        raise FormatError(f"{picture.width}x{picture.height} pixels, which is too large", file=file)
+    frames = getattr(picture, "n_frames", 1)
+    if _DNG_VERSION in getattr(picture, "tag_v2", ()):
+        raise FormatError("is a camera's raw file (DNG): save the developed picture as PNG or JPEG", file=file)
+    if frames > 1 and picture.format != "MPO":  # a phone's JPEG, with its depth or brightness as a second picture
+        message = f"holds {frames} pictures (an animation, or pages): save those that show something, each as a PNG"
+        raise FormatError(message, file=file)
+    if picture.mode == "F" or (picture.mode == "I" and picture.format == "TIFF"):
+        raise FormatError("holds numbers of 32 bits, of no agreed range: save it as PNG, as it is displayed", file=file)
+
+
+def _in_srgb(picture: Image.Image) -> Image.Image:
+    """The picture in sRGB, where it has a color profile (screenshots of a wide-gamut display, printers' CMYK) that can
+    be used and makes a difference."""
+    profile = picture.info.get("icc_profile")
+    if not profile:
+        return picture
+    keyed = "transparency" in picture.info
+    plain = picture.convert("RGBA" if keyed else "RGB") if keyed or picture.mode == "P" else picture
+    output = "RGBA" if plain.mode == "RGBA" else "RGB"
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        converted = ImageCms.profileToProfile(plain, source, _SRGB, outputMode=output)
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        return picture
+    if converted is None or np.asarray(ImageChops.difference(converted, plain.convert(output))).max() <= _ROUNDING:
+        return picture  # sRGB itself, rounded once more, would lose the steps of a JPEG
+    return converted

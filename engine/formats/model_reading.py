@@ -9,7 +9,7 @@ from pathlib import Path
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.guards import opening, read_regular
 from engine.formats.kinds import KINDS, READ, SPLAT, Kind, Read
-from engine.formats.other_files import advice_for
+from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
 from engine.formats.splat import RECORD, looks_like_splat
 from engine.model import GaussianModel
@@ -75,6 +75,8 @@ def _read(data: bytes, file: str, spz_frame: str) -> tuple[Kind, Read]:
         kind = _told(data, file)
         read = kind.read(data, file, spz_frame)
     except FormatError:
+        if not splat and (changed := changed_as_text(data)):
+            raise FormatError(changed, file=file) from None
         if not splat:
             raise
         return SPLAT, SPLAT.read(data, file, spz_frame)

@@ -4,11 +4,14 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["advice_for"]
+__all__ = ["advice_for", "changed_as_text"]
 
 _HEAD, _TAIL = 4096, 1 << 16
+_FEW_ENDS = 32
 _HEIC, _AVI, _MATROSKA = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1"), b"AVI ", b"\x1aE\xdf\xa3"
+_PICTURES = (b"\0\0\0\x0cjP  ", b"\0\0\0\x0cJXL ")
 _MESH_TEXT = re.compile(rb"(?:\A|\n)(?:mtllib \S|usemtl \S|v +[-+.\d])|<COLLADA")
+_NO_TEXT = re.compile(rb"[^\t\n\r -~]")
 _CONVERTED = "splat-transform converts it (npx @playcanvas/splat-transform FILE model.ply)"
 _NO_MODEL = "no Gaussian model: give the splat that was made from the same photos, as .ply, .sog or .spz"
 
@@ -89,14 +92,15 @@ _KINDS = (
         holds=lambda data: b"!!python/object:nerfstudio" in data[:_HEAD],
     ),
     _Other(
-        "begins like a PLY, but its first line is not 'ply' alone: a text editor changed it; export it again",
-        (b"\xef\xbb\xbfply", b"PLY", b"ply "),
+        "begins like a PLY, but its first line is not 'ply' alone: a text editor or a redirected output changed it;"
+        " export it again",
+        (b"\xef\xbb\xbfply", b"PLY", b"ply ", "ply".encode("utf-16"), "\ufeffply".encode("utf-16-be")),
     ),
     _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
     _Other(
         f"is a point cloud, {_NO_MODEL}",
         (b"LASF", b"ASTM-E57", b"# .PCD", b"VERSION .7"),
-        endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx"),
+        endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx", "points3d.bin", "points3d.txt"),
     ),
     _Other(
         f"is a mesh, {_NO_MODEL}; verify also takes pictures of it, and a mesh with colors at its corners (.ply, .obj,"
@@ -107,9 +111,11 @@ _KINDS = (
     ),
     _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
     _Other(
-        "is a picture of a kind that is not read (JPEG 2000, JPEG XL, PSD or SVG): save it as PNG or JPEG",
-        (b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51", b"\0\0\0\x0cJXL ", b"\xff\x0a", b"8BPS", b"<svg"),
-        endings=(".jp2", ".jxl", ".psd", ".svg"),
+        "is a picture of a kind that is not read (JPEG 2000, JPEG XL, JPEG XR, PSD, SVG, EXR, HDR, TGA and the like):"
+        " save it as PNG or JPEG, as it is displayed",
+        (*_PICTURES, b"\xff\x4f\xff\x51", b"\xff\x0a", b"8BPS", b"<svg", b"v/1\1", b"#?RADIANCE", b"II\xbc\1", b"DDS "),
+        lambda data: re.match(rb"P[1-7]\s+[\d#]|qoif", data) is not None,
+        (".jp2", ".jxl", ".jxr", ".psd", ".svg", ".exr", ".hdr", ".tga", ".ico"),
     ),
     _Other(
         "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
@@ -119,7 +125,7 @@ _KINDS = (
     _Other("is a PDF: save the picture in it as PNG or JPEG", (b"%PDF",)),
     _Other(
         "is a web page: give the model that it loads, or a screenshot of what it shows",
-        holds=lambda data: data[:1024].lstrip().lower().startswith((b"<!doctype html", b"<html")),
+        holds=lambda data: data[:1024].lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith((b"<!doctype html", b"<html")),
     ),
     _Other(
         "is a zip archive without meta.json, no SOG scene: unpack it, and give one model of those in it",
@@ -127,9 +133,16 @@ _KINDS = (
     ),
     _Other(
         "is a packed archive: unpack it, and give one model of those in it",
-        (b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd"),
+        (b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"),
         lambda data: data[257:262] == b"ustar",
     ),
+    _Other("is a companion file of macOS ('._NAME'): give the file NAME itself", (b"\0\5\x16\7",)),
+    _Other(
+        "is an asset of Unity or Unreal: give the .ply that it was imported from",
+        (b"%YAML 1.1\n%TAG !u!", b"\xc1\x83\x2a\x9e"),
+        endings=(".asset", ".uasset", ".unitypackage"),
+    ),
+    _Other("holds nothing but zeros: copy or download it again", holds=lambda data: not data.strip(b"\0")),
 )
 
 
@@ -140,4 +153,17 @@ def advice_for(data: bytes, file: str) -> str | None:
         lambda other: other.holds(data),
         lambda other: bool(other.endings) and file.lower().endswith(other.endings),
     )
-    return next((other.text for fits in signs for other in _KINDS if fits(other)), None)
+    known = next((other.text for fits in signs for other in _KINDS if fits(other)), None)
+    if known is None and not _NO_TEXT.search(data[:_HEAD]):
+        return f"is text, no model: give the file of the model itself; this one begins with {data[:60].decode()!r}"
+    return known
+
+
+def changed_as_text(data: bytes) -> str | None:
+    """What was done to a binary file by a program that took it for text, where that shows."""
+    ends = data.count(b"\n")
+    crlf = ends > _FEW_ENDS and data.count(b"\r\n") == ends and b"\0" in data
+    if not crlf and data.count("\ufffd".encode()) * _FEW_ENDS <= len(data):
+        return None
+    what = "line ends" if crlf else "characters"
+    return f"its {what} were changed on the way, as if it were text: transfer or download it again, as binary"

@@ -102,7 +102,7 @@ def clean(
             message = f"no Gaussian is usable; the value here is {value}"
             raise FormatError(message, file=file, element=element, row=int(origin[first]), prop=prop)
         log.note(
-            "rows_dropped", np.flatnonzero(bad), f"left out, because a value is not a finite number ({prop} = {value})"
+            "rows_dropped", np.flatnonzero(bad), f"left out, because a value is no number of a scene ({prop} = {value})"
         )
         log.rows = rows = FileRows(origin[~bad], len(bad) if rows is None else rows.count)
         means, log_scales, quats, opacity_logits, sh = (

@@ -36,7 +36,7 @@ def looks_like_splat(data: bytes | memoryview) -> bool:
 def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Read a .splat file; degree 0. FormatError if the length is no multiple of 32, or no Gaussian is usable."""
     if len(data) % RECORD.itemsize:
-        message = f"{len(data)} bytes are no multiple of {RECORD.itemsize} bytes: cut off"
+        message = f"{len(data)} bytes are no multiple of {RECORD.itemsize} bytes: cut off, or bytes follow"
         raise FormatError(message, file=file, element="vertex", row=len(data) // RECORD.itemsize)
     records = np.frombuffer(data, dtype=RECORD)
     with np.errstate(divide="ignore", invalid="ignore"):  # a scale of zero is mended, a negative one is a fault

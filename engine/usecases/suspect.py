@@ -52,7 +52,7 @@ class SuspectFiles:
 
         found: list[tuple[Path, bool]] = []
         for path in paths:
-            within = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else []
+            within = sorted(each for each in path.iterdir() if not _is_hidden(each)) if path.is_dir() else []
             if within and all(is_picture(each) for each in within):
                 found += [(each, True) for each in within]
             else:
@@ -83,3 +83,8 @@ class SuspectFiles:
         from engine.flows.verify.search import Suspect  # after the file: to import it takes as long as to read it
 
         return ReadSuspect(Suspect(loaded.model), loaded.format, loaded.repairs)
+
+
+def _is_hidden(path: Path) -> bool:
+    """Whether this is a file that systems put into folders and do not show."""
+    return path.name.startswith(".") or path.name.lower() in ("thumbs.db", "desktop.ini")

@@ -46,10 +46,11 @@ def serve(
     """Run the ownership service: API, page and workers, in one data folder.
 
     A second one in this folder is refused, unless it starts no workers
-    ('--workers 0'). Needs no other server. The first start makes the master key, the signing
-    key and one admin API key, which it prints once. Settings are environment
-    variables: MARK3DGS_DATA_DIR (default ./mark3dgs-data), MARK3DGS_DATABASE_URL
-    and MARK3DGS_BLOB_URL for several machines, and more (see docs/SERVICE.md).
+    ('--workers 0'). Needs no other server. The first start makes the master
+    key, the signing key and one admin API key, which a terminal shows once
+    (without one: admin.key). Settings are environment variables:
+    MARK3DGS_DATA_DIR (default ./mark3dgs-data), MARK3DGS_DATABASE_URL and
+    MARK3DGS_BLOB_URL for several machines, and more (see docs/SERVICE.md).
 
     Examples:
 

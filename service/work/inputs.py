@@ -9,7 +9,7 @@ from PIL import ExifTags, Image
 
 from engine.errors import CameraError, FormatError, InputError
 from engine.formats import read_cameras
-from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, is_picture, read_picture
+from engine.formats.image_files import MAX_PICTURE_PIXELS, MAX_PIXELS_TOGETHER, check_picture, is_picture, read_picture
 from engine.model import Camera, Float32
 from engine.scenes.scene_files import Loaded, read_suspect
 from service.problems import Problem
@@ -36,9 +36,7 @@ def picture_sizes(paths: Sequence[str]) -> list[tuple[int, int]]:
     picture by its number, where one is none, or they are too large to be read together."""
     if not 1 <= len(paths) <= MOST_PICTURES:
         raise Problem("invalid-request", f"1 to {MOST_PICTURES} pictures go together, got {len(paths)}")
-    with warnings.catch_warnings():
-        # We have a limit of our own, which refuses where this one only warns.
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+    with warnings.catch_warnings(action="ignore"):  # Pillow's, of damage that it reads around
         sizes = [_size(Path(path), number) for number, path in enumerate(paths, start=1)]
     together = sum(width * height for width, height in sizes)
     if together > MAX_PIXELS_TOGETHER:
@@ -50,9 +48,7 @@ def picture_sizes(paths: Sequence[str]) -> list[tuple[int, int]]:
 def load_pictures(paths: Sequence[str]) -> list[Float32]:
     """Pictures, each (H, W, 3) float32; errors as `picture_sizes`."""
     picture_sizes(paths)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        return [_read(Path(path), number) for number, path in enumerate(paths, start=1)]
+    return [_read(Path(path), number) for number, path in enumerate(paths, start=1)]
 
 
 def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] | None:
@@ -75,9 +71,7 @@ def _size(path: Path, number: int) -> tuple[int, int]:
         if not is_picture(path):
             raise Problem("unreadable-image", f"picture {number}: is no PNG, JPEG, WebP, AVIF, BMP, GIF or TIFF")
         with Image.open(path) as picture:
-            if picture.width * picture.height > MAX_PICTURE_PIXELS:
-                size = f"{picture.width}x{picture.height}"
-                raise Problem("unreadable-image", f"picture {number}: {size} pixels, which is too large")
+            check_picture(picture, str(path))
             exif = picture.getexif() if "exif" in picture.info else {}  # of a PNG without, all would be decoded
             lies = exif.get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
             return picture.size[::-1] if lies else picture.size

@@ -73,7 +73,8 @@ def test_a_folder_of_frames_stands_for_its_pictures(tmp_path: Path) -> None:
         folder.mkdir()
         for name in names:
             (folder / name).write_bytes(b"{}" if name.endswith("json") else b"\x89PNG\r\n\x1a\n\0\0\0\0")
-    (frames / ".hidden").write_bytes(b"?")
+    for name in (".hidden", "Thumbs.db", "desktop.ini"):
+        (frames / name).write_bytes(b"?")
     single = tmp_path / "a.png"
     single.write_bytes((frames / "0001.png").read_bytes())
     assert SuspectFiles.sort_out([single, frames]).paths == (single, frames / "0001.png", frames / "0002.png")

@@ -220,3 +220,29 @@ def test_any_types_and_bits_give_a_sound_model_or_a_named_fault(data: st.DataObj
     except FormatError as error:
         fault = str(error)
     assert fault.startswith("any.ply")
+
+
+@pytest.mark.parametrize(("order", "said"), [("<", b"binary_big_endian"), (">", b"binary_little_endian")])
+def test_a_wrong_byte_order_is_named(order: str, said: bytes) -> None:
+    written = file_of(floats(), order)
+    line = written.split(b"\n")[1]
+    with pytest.raises(FormatError, match="other byte order"):
+        read_model(written.replace(line, b"format " + said + b" 1.0", 1))
+
+
+def test_text_of_windows_and_with_empty_lines_is_read() -> None:
+    head, end, body = file_of(floats(n=4), ascii=True).partition(b"end_header\n")
+    rows = [row.split() for row in body.split(b"\n")]
+    for row, word in zip(rows, (b"-nan(ind)", b"1.#INF", b"-1.#QNAN"), strict=False):
+        row[7] = word
+    loaded = read_model(head + end + b"\r\n\r\n".join(b"\t".join(row) for row in rows) + b"\r\n\r\n")
+    assert (codes(loaded), len(loaded.model)) == ({"rows_dropped"}, 1)
+    for word, told in ((b"1.#x", r"row 1.*'1\.#x'"), (b"0,25", "decimal points")):
+        with pytest.raises(FormatError, match=told):
+            read_model(head + end + body.replace(body.split(b"\n")[1].split()[0], word, 1))
+
+
+def test_kernels_that_are_no_gaussians_are_named() -> None:
+    columns = {name.replace("f_dc", "sh0"): column for name, column in floats().items()}
+    with pytest.raises(UnsupportedFormatError, match="Beta"):
+        read_model(file_of(columns | {"beta": columns["opacity"]}))

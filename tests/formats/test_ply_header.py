@@ -40,7 +40,7 @@ START = "ply\nformat binary_little_endian 1.0\n"
         (START + START[4:], "two 'format' lines"),
         ("ply\nformat binary_middle_endian 1.0\n", "unknown encoding 'binary_middle_endian'"),
         ("ply\nformat ascii 2.0\n", "version '2.0' is not read here"),
-        ("plyx\nformat ascii 1.0\n", "is none of the formats"),
+        ("plyx\nformat ascii 1.0\n", "is text, no model"),
         ("ply\rformat ascii 1.0\r", "cut off"),
     ],
 )

@@ -7,6 +7,7 @@ import hashlib
 import io
 import os
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_other_formats_are_refused_by_name() -> None:
     with pytest.raises(UnsupportedFormatError, match=r"\.ksplat version 0\.0"):
         read_model(bytes(4096), name="Scene.KSPLAT")
     with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, spz"):
-        read_model(b"hello", name="scene.ply")
+        read_model(b"hello\0", name="scene.ply")
 
 
 def test_paths_that_are_no_files(tmp_path: Path) -> None:
@@ -161,7 +162,18 @@ NOISE = bytes(range(1, 98))
         (NOISE, "part.STL", "is a mesh"),
         (b"7z\xbc\xaf\x27\x1c" + NOISE, "x", "packed archive"),
         (NOISE, "scene.xyz2", "none of the formats read here: ply"),
-        (b'{"a": 1}', "x.json", "none of the formats read here: ply"),
+        (b'{"a": 1}', "x.json", "is text.*begins with '{\"a\": 1}'"),
+        ("ply\nformat".encode("utf-16"), "x", "begins like a PLY"),
+        (b"\0\5\x16\7" + NOISE, "._scene.ply", "of macOS"),
+        (b"%YAML 1.1\n%TAG !u! tag:unity3d.com,2011:\n", "scene.asset", "Unity.*the .ply"),
+        (b"\xc1\x83\x2a\x9e" + NOISE, "x", "Unreal"),
+        (bytes(5000), "scene.ply", "nothing but zeros"),
+        (NOISE, "sparse/0/points3D.bin", "is a point cloud"),
+        (b"\x04\x22\x4d\x18" + NOISE, "x", "packed archive"),
+        (b"v/1\1" + NOISE, "x", "save it as PNG"),
+        (b"II\xbc\1" + NOISE, "x", "save it as PNG"),
+        (b"P6\n2 2\n255\n" + NOISE, "x", "save it as PNG"),
+        (b"\xef\xbb\xbf<!DOCTYPE html>", "x", "web page"),
     ],
 )
 def test_what_is_no_model_is_named_with_what_to_give(data: bytes, name: str, what: str) -> None:
@@ -192,3 +204,16 @@ def test_a_packed_model_is_to_be_unpacked() -> None:
         read_model(file.getvalue())
     with pytest.raises(FormatError, match=r"no SPZ file .*: unpack it"):
         read_model(gzip.compress(b"ply\nformat ascii 1.0\n" + bytes(40)))
+
+
+@pytest.mark.parametrize("kind", ["ply", "spz", "splat", "glb"])
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("line ends", lambda data: data.replace(b"\n", b"\r\n")),
+        ("characters", lambda data: data.decode("utf-8", "replace").encode()),
+    ],
+)
+def test_a_transfer_as_text_is_named(kind: str, what: str, change: Callable[[bytes], bytes]) -> None:
+    with pytest.raises(FormatError, match=f"its {what} were changed.*again, as binary"):
+        read_model(change(encode_model(random_model(0, 3000), kind)), name="scene." + kind)

@@ -120,7 +120,7 @@ class _Textures:
         """(N, 3) sRGB values at texture coordinates, of the nearest pixel; the picture repeats beyond its borders."""
         if view not in self._decoded:
             try:
-                self._decoded[view] = read_picture(self._asset.blob(view), "texture")
+                self._decoded[view] = read_picture(self._asset.blob(view), "texture", managed=False)
             except FormatError as error:
                 raise self._asset.fault(error.message, "images") from None
             self._left -= self._decoded[view].size // 3

@@ -1,6 +1,7 @@
 """The tables of a PLY file as numpy records, binary of either byte order or ASCII; no more than is there."""
 
 import io
+import re
 from collections.abc import Iterator
 from itertools import islice
 
@@ -11,6 +12,8 @@ from engine.errors import FormatError
 from engine.formats.ply.header import Element, Header
 
 _LINES_AT_ONCE = 4096
+_WINDOWS = re.compile(r"[-+]?(nan\((ind|snan)\)|1\.#(ind|inf|qnan|snan)\d*)", re.IGNORECASE)
+"""What its C library writes for values that are no finite numbers."""
 
 
 def read_tables(
@@ -76,7 +79,9 @@ def _read_ascii(
         if least > len(body):
             message = f"the header announces {element.count} rows, but only {len(body)} bytes are there"
             raise FormatError(message, file=file, element=element.name)
-    lines = iter(io.TextIOWrapper(io.BytesIO(body), encoding="latin-1"))
+    lines = (
+        _WINDOWS.sub("nan", line) for line in io.TextIOWrapper(io.BytesIO(body), encoding="latin-1") if line.strip()
+    )
     tables = {}
     for element in header.elements:
         if element.name in wanted:
@@ -85,7 +90,7 @@ def _read_ascii(
             skipped = sum(1 for _ in islice(lines, element.count))
             if skipped < element.count:
                 raise _too_short(element, skipped, file)
-    if any(line.strip() for line in lines):
+    if next(lines, None) is not None:
         last = header.elements[-1]
         message = f"more lines follow the {last.count} rows of the last element: the count is wrong"
         raise FormatError(message, file=file, element=last.name)
@@ -122,7 +127,8 @@ def _fault(block: list[str], start: int, element: Element, file: str) -> FormatE
             try:
                 np.loadtxt([word], dtype=prop.code, comments=None)
             except (ValueError, OverflowError):
-                message = f"{word[:40]!a} is no {np.dtype(prop.code).name}"
+                hint = " (export it with decimal points)" if "," in word else ""
+                message = f"{word[:40]!a} is no {np.dtype(prop.code).name}{hint}"
                 return FormatError(message, file=file, element=element.name, row=row, prop=prop.name)
     return FormatError("cannot be read", file=file, element=element.name, row=start)
 

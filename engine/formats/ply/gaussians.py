@@ -50,6 +50,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     header, renamed = plain_names(plain_lists(data, parse_header(data, file=file), "vertex"))
     vertex, used, more, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    _check_order(records, file)
     repairs = [*renamed, *carrying(header, more), *repairs]
     if any(records[name].any() for name in _NORMALS if name in vertex.names):
         more = [p.name for p in vertex.properties if p.name in (*more, *_NORMALS)]
@@ -140,6 +141,9 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     if "f_dc_0" not in vertex.names and any(name.startswith(_ANCHORS) for name in vertex.names):
         message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
         raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
+    if "f_dc_0" not in vertex.names and "beta" in vertex.names:
+        message = "is of Deformable Beta Splatting, whose kernels are no Gaussians: train the scene as Gaussians"
+        raise UnsupportedFormatError(message, file=file, element="vertex", prop="beta")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
         message = "is missing; where the colors lie in codebook files of its own (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
@@ -165,6 +169,25 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     if others:
         repairs.append(ignored("elements", others))
     return vertex, used, extra, repairs
+
+
+def _check_order(records: npt.NDArray[Any], file: str) -> None:
+    """FormatError where most centers are no numbers of a scene, but are in the other byte order."""
+    sample = records[:: 1 + len(records) // _ROWS_AT_ONCE]
+    centers = np.stack([sample[axis] for axis in _AXES])
+    if centers.dtype.kind == "f" and centers.itemsize > 2 and _sound(centers) < 0.5 < 0.9 < _sound(centers.byteswap()):
+        message = (
+            "is in the other byte order than the header says: export it again, or correct the header's second line"
+        )
+        raise FormatError(message, file=file, element="vertex", prop="x")
+
+
+def _sound(centers: npt.NDArray[Any]) -> float:
+    """Share of centers (3, N) that a scene may have."""
+    with np.errstate(invalid="ignore"):
+        sizes = np.abs(centers)
+        sound = ((sizes < 1e9) & ((sizes > 1e-9) | (sizes == 0))).all(axis=0)
+    return np.count_nonzero(sound) / max(len(sound), 1)
 
 
 def _count_rest(vertex: Element, file: str) -> int:

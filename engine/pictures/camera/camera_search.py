@@ -87,7 +87,8 @@ def find_camera(
     InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < CONFIG.least_side:
-        raise InputError(f"a picture is (h, w, 3) and at least {CONFIG.least_side} pixels a side, got {image.shape}")
+        size = " x ".join(map(str, image.shape[1::-1]))
+        raise InputError(f"a picture of {size} pixels: {CONFIG.least_side} a side and three colors are needed")
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite: save it again as 8-bit RGB")
     if np.ptp(image, axis=(0, 1)).max() < CONFIG.least_spread:
