@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -94,6 +94,14 @@ def take(
 ) -> Taken:
     """One picture of a model file in the studio's folder, everything drawn from the seed; at `least` this share of the
     asset is seen, and fills the picture, where a camera of 50 does that."""
+    shown = show(studio, model, file, seed, kind, least)
+    return replace(shown, picture=filed(shown.picture, shown.tags["file"]))
+
+
+def show(
+    studio: Studio, model: GaussianModel, file: str, seed: tuple[int, ...], kind: str = "supersplat", least: float = 0.05
+) -> Taken:
+    """The picture of `take` before it became a file."""
     rng = np.random.default_rng(seed)
     tags = {
         "viewer": kind,
@@ -118,7 +126,7 @@ def take(
     picture = shot.over(background(tags["background"], rng, size))
     if tags["hand"] == "mirrored":
         picture = np.ascontiguousarray(picture[:, ::-1])
-    return Taken(filed(picture, tags["file"]), camera, tags, seen, filled)
+    return Taken(picture, camera, tags, seen, filled)
 
 
 def background(kind: str, rng: np.random.Generator, size: tuple[int, int]) -> Float32:

@@ -14,7 +14,7 @@ left is fitted as for any picture. Nothing here sees a key or a chip.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -267,30 +267,34 @@ TONES = (ViewerTone("aces", _aces), ViewerTone("aces2", _aces2), ViewerTone("neu
 0.87 to 1.05 times the z."""
 
 
-def find_viewer_tone(view: View, colors: Float32, alpha: Float32, picture: Float32) -> ViewerTone | None:
-    """Which of `TONES` the viewer applied to every Gaussian, None where none explains the picture clearly better.
+def find_viewer_tone(
+    view: View, colors: Float32, alpha: Float32, picture: Float32, tones: Sequence[ViewerTone] = TONES
+) -> ViewerTone | None:
+    """Which of `tones` the viewer applied to every Gaussian, None where none explains the picture clearly better.
 
     Parameters
     ----------
     view : View
-        Of the reference, from the picture's camera reduced to some `side` pixels.
+        Of the reference, from the picture's camera; all is compared at `side` pixels.
     colors : (N, 3)
         The Gaussians' own, as seen from there.
     alpha : (h, w)
         The view's opacity.
     picture : (H, W, 3)
-        0..1, of any size.
+        0..1, of the size of the view or larger.
     """
-    seen = resized(picture, view.camera.width, view.camera.height)
+    small = view.camera.with_side(min(_VIEWER.side, max(view.camera.width, view.camera.height)))
+    alpha, seen = (resized(image, small.width, small.height) for image in (alpha, picture))
     solid: Bool = (alpha > _VIEWER.solid) & (seen.max(axis=2) < _VIEWER.clipped)
     if int(solid.sum()) < _VIEWER.least_pixels:
         return None
 
     def drawn(tone: ViewerTone | None) -> Float32:
-        return np.clip(view.render(colors if tone is None else tone(colors))[0], 0.0, 1.0)
+        image = np.clip(view.render(colors if tone is None else tone(colors))[0], 0.0, 1.0)
+        return resized(image, small.width, small.height)
 
     plain = drawn(None)
-    shown = {tone: drawn(tone) for tone in TONES}
+    shown = {tone: drawn(tone) for tone in tones}
     misses = {tone: _missed_by_line(image, seen, solid) for tone, image in shown.items()}
     best = min(misses, key=lambda tone: misses[tone])
     if misses[best] > _VIEWER.better * _missed_by_line(plain, seen, solid):
