@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +16,7 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import Alike, ColorChange, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG
-from engine.pictures.alignment.tone_and_light import TONES, ViewerTone, find_viewer_tone
+from engine.pictures.alignment.tone_and_light import ViewerTone, find_viewer_tone
 from engine.raster import RasterSettings, View, draw, prepare_view, sh_colors
 from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_pictures import GrainView
@@ -74,16 +73,7 @@ class ReferenceViews:
 
     def tone(self, camera: Camera, settings: RasterSettings, picture: Float32) -> ViewerTone | None:
         """The tone curve that the viewer of a picture (H, W, 3) from this camera applied to every Gaussian, if any."""
-        tones: Sequence[ViewerTone] = TONES
-        # In a small view Gaussians thinner than a pixel are wider than in the picture, which a curve seems to explain:
-        # a first look only.
-        for view in (camera.with_side(CONFIG.viewer_tone.side), camera):
-            drawn = draw(self._model, view, settings=settings)
-            tone = find_viewer_tone(drawn.view, drawn.colors, drawn.alpha, picture, tones)
-            if tone is None:
-                return None
-            tones = [tone]
-        return tone
+        return find_viewer_tone(self._model, camera, settings, picture)
 
     @cached_property
     def _neighborhoods(self) -> Neighborhoods:

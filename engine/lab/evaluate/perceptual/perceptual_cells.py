@@ -13,7 +13,7 @@ from engine.extras import load_extra
 from engine.flows.embed.profiles import profile
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
-from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
+from engine.lab.evaluate.marked_scene import mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import image_attack
 from engine.lab.sim.multiscale_ssim import ms_ssim_distance

@@ -1,7 +1,7 @@
 """Suite 8: what eyes may notice.
 
-Full: 3 profiles x 24 views (`trials`) of 800 pixels; about 3.5 minutes a scene of 100k Gaussians on 2 cores. Quick: one profile,
-two views of 400 pixels.
+Full: 3 profiles x 24 views (`trials`) of 800 pixels; about 3.5 minutes a scene of 100k Gaussians on 2 cores. Quick: one
+profile, two views of 400 pixels.
 """
 
 import base64
