@@ -14,7 +14,7 @@ left is fitted as for any picture. Nothing here sees a key or a chip.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -272,19 +272,18 @@ def find_viewer_tone(
 ) -> ViewerTone | None:
     """Which of `TONES` the viewer of a picture (H, W, 3), 0..1, from this camera applied to every Gaussian of the
     model; None where none explains the picture clearly better."""
-    tones: Sequence[ViewerTone] = TONES
+    tone = None
     # In a small view Gaussians thinner than a pixel are wider than in the picture, which a curve may seem to explain:
-    # it only proposes.
+    # it only says whether to look again.
     for seen_from in (camera.with_side(_VIEWER.side), camera):
-        tone = _tone_of(draw(model, seen_from, settings=settings), picture, tones)
+        tone = _tone_of(draw(model, seen_from, settings=settings), picture)
         if tone is None:
-            return None
-        tones = (tone,)
+            break
     return tone
 
 
-def _tone_of(plain: Rendering, picture: Float32, tones: Sequence[ViewerTone]) -> ViewerTone | None:
-    """Which of these explains a picture clearly better than the plain render, all compared at one small size."""
+def _tone_of(plain: Rendering, picture: Float32) -> ViewerTone | None:
+    """Which of `TONES` explains a picture clearly better than the plain render, all compared at one small size."""
     camera = plain.view.camera
     small = camera.with_side(min(_VIEWER.side, max(camera.width, camera.height)))
 
@@ -295,7 +294,7 @@ def _tone_of(plain: Rendering, picture: Float32, tones: Sequence[ViewerTone]) ->
     solid: Bool = (reduced(plain.alpha) > _VIEWER.solid) & (seen.max(axis=2) < _VIEWER.clipped)
     if int(solid.sum()) < _VIEWER.least_pixels:
         return None
-    shown = {tone: reduced(plain.view.render(tone(plain.colors))[0]) for tone in tones}
+    shown = {tone: reduced(plain.view.render(tone(plain.colors))[0]) for tone in TONES}
     misses = {tone: _missed_by_line(image, seen, solid) for tone, image in shown.items()}
     best = min(misses, key=lambda tone: misses[tone])
     if misses[best] > _VIEWER.better * _missed_by_line(unchanged, seen, solid):
