@@ -126,7 +126,8 @@ def _kept(rows: Sequence[dict[str, Any]], file: str) -> float:
     first: dict[tuple[Any, ...], float] = {}
     for row in rows:
         first.setdefault((row["scene"], row["picture"]), row["z"])
-    own = [row["z"] / first[row["scene"], row["picture"]] for row in rows if row["file"] == file]
+    shown = [(row["z"], first[row["scene"], row["picture"]]) for row in rows if row["file"] == file]
+    own = [z / whole for z, whole in shown if whole > 0] or [0.0]
     return round(float(np.median(own)), 3)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from engine.flows.views.camera_rig import UP, direction, measure_extent
-from engine.formats import write_model
 from engine.lab.evaluate.bench.attacks import photograph
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.numerics.resampling import resized
@@ -95,7 +94,7 @@ def coverage(model: GaussianModel, camera: Camera) -> tuple[float, float]:
     return float((weight * inside).sum() / weight.sum()), float((alpha > 0.5).mean())
 
 
-def show(
+def take(
     studio: Studio,
     model: GaussianModel,
     file: str,
@@ -103,7 +102,8 @@ def show(
     kind: str = "supersplat",
     least: float = 0.05,
 ) -> Taken:
-    """The picture of `take` before it became a file."""
+    """One picture of a model file in the studio's folder, not yet a file, everything drawn from the seed; at `least`
+    this share of the asset is seen, and fills the picture, where a camera of 50 does that."""
     rng = np.random.default_rng(seed)
     tags = {
         "viewer": kind,
@@ -203,9 +203,3 @@ def _recorded(image: Image.Image) -> Float32:
         subprocess.run([*quiet, *encode, "-crf", "23", film], check=True)
         subprocess.run([*quiet, "-i", film, "-vf", r"select=eq(n\,8)", "-frames:v", "1", frame], check=True)
         return np.asarray(Image.open(frame).convert("RGB"), dtype=np.float32) / 255.0
-
-
-def deliver(model: GaussianModel, folder: Path, name: str) -> str:
-    """The model as a file of the folder: its name."""
-    write_model(model, folder / name)
-    return name
