@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32
+from engine.pictures.jpeg.coded_blocks import agreement
 from engine.pictures.jpeg.config import CONFIG as JPEG
 from engine.raster import RasterSettings, render
 from engine.watermark.claim import Claim
@@ -69,6 +71,25 @@ def test_a_jpeg_of_another_renderer_is_read_by_what_its_errors_leave(
     scored = [z(scene, camera, each) for each in (foreign, own)]
     assert read[0] > 1.2 * scored[0]
     assert read[1] == scored[1]
+
+
+def test_a_jpeg_of_another_renderer_is_not_carried(
+    scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its multiples are not those of the reference, wherever it lies: the places are not all tried."""
+    tried: list[float] = []
+
+    def counted(*what: Any) -> float:
+        tried.append(agreement(*what))
+        return tried[-1]
+
+    monkeypatch.setattr("engine.flows.verify.suspect_evidence.agreement", counted)
+    antialiased = to_8_bit(render(scene.marked, camera, settings=RasterSettings(antialiased=True)))
+    for shot, all_places in ((antialiased, False), (to_8_bit(render(scene.marked, camera)), True)):
+        tried.clear()
+        assert z(scene, camera, attacked(shot, ("jpeg", 90))[29:349, 45:365]) > 5.0
+        assert (max(tried) > CONFIG.evidence.coded_alike) == all_places
+        assert (len(tried) > CONFIG.evidence.carried) == all_places
 
 
 @pytest.mark.parametrize("quality", [10, 80])

@@ -9,13 +9,16 @@ from engine.flows.verify import reference_views, suspect_evidence
 from engine.flows.verify.reference_views import ReferenceViews
 from engine.flows.verify.search import verify_images
 from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.display_view import with_all
+from engine.formats import read_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene
-from engine.lab.sim.attacks import image_attack
+from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import Camera, Float32
-from engine.pictures.alignment.tone_and_light import TONES, ViewerTone
+from engine.pictures.alignment.tone_and_light import TONES, ViewerTone, find_viewer_tone
 from engine.pictures.camera.found_camera import DEFAULT_SETTINGS, FoundCamera
 from engine.raster import draw, prepare_view, render, sh_colors
+from tests.flows.conftest import SCENE
 
 BY_NAME = {tone.name: tone for tone in TONES}
 
@@ -58,6 +61,18 @@ def test_no_curve_is_seen_where_there_is_none(scene: MarkedScene, camera: Camera
     for picture in (plain, blended, plain**0.7, 0.8 * plain + 0.1, np.clip(1.3 * plain, 0.0, 1.0)):
         assert tone_of(scene, camera, jpeg(picture)) is None
     assert tone_of(scene, camera, np.zeros_like(plain)) is None
+
+
+def test_a_small_view_does_not_decide() -> None:
+    """Of a merged model it shows thin Gaussians wider than the picture does, and a curve where there is none."""
+    model = model_attack("merge").apply(read_model(SCENE).model, 0.132)
+    camera = with_all(model, make_rig(model, 24, 1200, 900)[10])
+    picture = np.clip(render(model, camera), 0.0, 1.0)
+    assert find_viewer_tone(model, camera.with_side(256), DEFAULT_SETTINGS, picture) is not None
+    assert find_viewer_tone(model, camera, DEFAULT_SETTINGS, picture) is None
+    toned = BY_NAME["aces2"](sh_colors(model.sh, model.means, camera.position))
+    picture = np.clip(prepare_view(model, camera).render(toned)[0], 0.0, 1.0)
+    assert find_viewer_tone(model, camera, DEFAULT_SETTINGS, picture) is BY_NAME["aces2"]
 
 
 @pytest.mark.parametrize("name", ["aces", pytest.param("neutral", marks=pytest.mark.long)])

@@ -44,6 +44,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, default=20, help="of each scene (default 20)")
     parser.add_argument("--viewer", choices=[name for name in VIEWERS if name != "three"], default="supersplat")
     parser.add_argument("--counting", action="store_true", help="only pictures that count")
+    files = "every picture as each of these files, e.g. png 'jpeg 80' 'small, jpeg 70'; the first is the yardstick"
+    parser.add_argument("--files", nargs="+", default=[], help=files)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="folder for results.json and failures.png")
     options = parser.parse_args()
@@ -61,17 +63,19 @@ def main() -> None:
         with studio(options.out) as booth:
             for number in range(options.pictures):
                 least = {"least": COUNTS} if options.counting else {}
-                taken.append(
-                    take(booth, marked.marked, file, drawn(options.seed, scene, number), options.viewer, **least)
-                )
-                row = {"scene": scene.name, **_told(taken[-1]), **_read(marked, [taken[-1].picture])}
-                if before is not None and number % FOREIGN == 0:  # the picture of another scene
-                    row["foreign"] = _read(before, [taken[-1].picture])
-                rows.append(row)
-                sys.stdout.write(json.dumps(row) + "\n")
-                if not row["marked"]:
-                    name = f"{scene.name} {number} z {row['z']:.1f}{'' if row['counts'] else ' (small)'}"
-                    failures.append((name, taken[-1].picture))
+                shown = take(booth, marked.marked, file, drawn(options.seed, scene, number), options.viewer, **least)
+                for kind in options.files or [shown.tags["file"]]:
+                    each = shown.as_file(kind)
+                    row = {"scene": scene.name, "picture": number, **_told(each), **_read(marked, [each.picture])}
+                    if before is not None and number % FOREIGN == 0:  # the picture of another scene
+                        row["foreign"] = _read(before, [each.picture])
+                    rows.append(row)
+                    sys.stdout.write(json.dumps(row) + "\n")
+                    if not row["marked"]:
+                        name = f"{scene.name} {number} z {row['z']:.1f}{'' if row['counts'] else ' (small)'}"
+                        failures.append((name, each.picture))
+                    if not options.files:
+                        taken.append(each)
         counting = [each.picture for each in taken if each.counts]
         for first in range(0, len(counting) - TOGETHER + 1, TOGETHER):
             three = _read(marked, counting[first : first + TOGETHER])
@@ -107,12 +111,24 @@ def sums(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for tag in ("scene", "background", "tone", "roll", "hand", "file", "interface", "size", "antialiasing", "viewer"):
         values = sorted({row[tag] for row in counting})
         result[tag] = {value: _share([row for row in counting if row[tag] == value]) for value in values}
+    if len(single) > len({(row["scene"], row["picture"]) for row in single}):  # several files of each picture
+        result["kept"] = {file: _kept(counting, file) for file in result["file"]}
     result["three together"] = _share([row for row in rows if "together" in row])
     foreign = [row["foreign"] for row in single if "foreign" in row]
     result["foreign"] = _share(foreign) | {"recognised": sum(row["recognised"] for row in foreign)}
     spent = [row["seconds"] for row in single]
     result["seconds"] = {"median": float(np.median(spent)), "largest": float(max(spent))}
     return result
+
+
+def _kept(rows: Sequence[dict[str, Any]], file: str) -> float:
+    """Median share of the first file's z that this kind of file of the same pictures keeps."""
+    first: dict[tuple[Any, ...], float] = {}
+    for row in rows:
+        first.setdefault((row["scene"], row["picture"]), row["z"])
+    shown = [(row["z"], first[row["scene"], row["picture"]]) for row in rows if row["file"] == file]
+    own = [z / whole for z, whole in shown if whole > 0] or [0.0]
+    return round(float(np.median(own)), 3)
 
 
 def _share(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

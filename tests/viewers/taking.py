@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from engine.flows.views.camera_rig import UP, direction, measure_extent
-from engine.formats import write_model
+from engine.lab.evaluate.bench.attacks import photograph
 from engine.model import Camera, Float32, GaussianModel, look_at
+from engine.numerics.resampling import resized
 from engine.pictures.camera.camera_motion import project
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
@@ -29,6 +31,8 @@ COUNTS = 0.2
 """Share of the asset that a picture shows, and of itself that it fills, from which on it counts."""
 FILES = ("png", "jpeg 80", "webp 75", "recorded")
 """Recorded: a frame of a film of it (H.264, as OBS records)."""
+POSTED_SIDE = 640
+"""Longer side of a picture that was made smaller to be posted, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,12 @@ class Taken:
     def counts(self) -> bool:
         """Whether at least a fifth of the asset fills at least a fifth of the picture."""
         return min(self.seen, self.filled) >= COUNTS
+
+    def as_file(self, kind: str) -> Taken:
+        """This picture as read from a file of a kind, what was done before it was posted in front: "small, jpeg 70"."""
+        change, _, file = kind.rpartition(", ")
+        picture = filed(POSTED[change](self.picture) if change else self.picture, file)
+        return replace(self, picture=picture, tags=self.tags | {"file": kind})
 
 
 def random_camera(
@@ -92,8 +102,8 @@ def take(
     kind: str = "supersplat",
     least: float = 0.05,
 ) -> Taken:
-    """One picture of a model file in the studio's folder, everything drawn from the seed; at `least` this share of the
-    asset is seen, and fills the picture, where a camera of 50 does that."""
+    """One picture of a model file in the studio's folder, not yet a file, everything drawn from the seed; at `least`
+    this share of the asset is seen, and fills the picture, where a camera of 50 does that."""
     rng = np.random.default_rng(seed)
     tags = {
         "viewer": kind,
@@ -118,7 +128,7 @@ def take(
     picture = shot.over(background(tags["background"], rng, size))
     if tags["hand"] == "mirrored":
         picture = np.ascontiguousarray(picture[:, ::-1])
-    return Taken(filed(picture, tags["file"]), camera, tags, seen, filled)
+    return Taken(picture, camera, tags, seen, filled)
 
 
 def background(kind: str, rng: np.random.Generator, size: tuple[int, int]) -> Float32:
@@ -150,6 +160,40 @@ def filed(picture: Float32, kind: str) -> Float32:
     return np.asarray(Image.open(stream).convert("RGB"), dtype=np.float32) / 255.0
 
 
+def _small(picture: Float32) -> Float32:
+    height, width = picture.shape[:2]
+    factor = POSTED_SIDE / max(height, width)
+    return np.clip(resized(picture, round(factor * width), round(factor * height)), 0.0, 1.0)
+
+
+def _captioned(picture: Float32) -> Float32:
+    """White letters edged in black, as in the upper and lower tenth of a meme."""
+    image = Image.fromarray(np.round(255.0 * picture).astype(np.uint8))
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(image.height / 14)
+    for down, text in ((0.01, "WHEN THE SCAN"), (0.9, "TURNS OUT FINE")):
+        place = (0.5 * image.width, down * image.height)
+        draw.text(place, text, "white", font, anchor="ma", stroke_width=3, stroke_fill="black")
+    return np.asarray(image, dtype=np.float32) / 255.0
+
+
+def _portrait(picture: Float32) -> Float32:
+    """Cut to 4:5 around the middle."""
+    height, width = picture.shape[:2]
+    rows, columns = min(height, round(1.25 * width)), min(width, round(0.8 * height))
+    top, left = (height - rows) // 2, (width - columns) // 2
+    return np.ascontiguousarray(picture[top : top + rows, left : left + columns])
+
+
+POSTED: dict[str, Callable[[Float32], Float32]] = {
+    "small": _small,
+    "captions": _captioned,
+    "4:5": _portrait,
+    "off a screen": lambda picture: photograph(picture, np.random.default_rng(0)),
+}
+"""What people do with a picture before it becomes a file."""
+
+
 def _recorded(image: Image.Image) -> Float32:
     with tempfile.TemporaryDirectory() as folder:
         still, film, frame = (Path(folder) / name for name in ("still.png", "film.mp4", "frame.png"))
@@ -159,9 +203,3 @@ def _recorded(image: Image.Image) -> Float32:
         subprocess.run([*quiet, *encode, "-crf", "23", film], check=True)
         subprocess.run([*quiet, "-i", film, "-vf", r"select=eq(n\,8)", "-frames:v", "1", frame], check=True)
         return np.asarray(Image.open(frame).convert("RGB"), dtype=np.float32) / 255.0
-
-
-def deliver(model: GaussianModel, folder: Path, name: str) -> str:
-    """The model as a file of the folder: its name."""
-    write_model(model, folder / name)
-    return name

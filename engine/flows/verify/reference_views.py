@@ -73,9 +73,7 @@ class ReferenceViews:
 
     def tone(self, camera: Camera, settings: RasterSettings, picture: Float32) -> ViewerTone | None:
         """The tone curve that the viewer of a picture (H, W, 3) from this camera applied to every Gaussian, if any."""
-        small = camera.with_side(CONFIG.viewer_tone.side)
-        drawn = draw(self._model, small, settings=settings)
-        return find_viewer_tone(drawn.view, drawn.colors, drawn.alpha, picture)
+        return find_viewer_tone(self._model, camera, settings, picture)
 
     @cached_property
     def _neighborhoods(self) -> Neighborhoods:

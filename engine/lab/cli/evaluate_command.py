@@ -14,8 +14,8 @@ from engine.errors import InputError, Mark3DGSError
 from engine.lab.cli.shared import Seed, shipped_scene
 
 TRIALS_HELP = (
-    "Trials: screenshots (50), foreign pictures (200), wrong keys (100,000), innocent copies (10,000), assets (1,000) "
-    "or questions to an oracle (300)."
+    "Trials: screenshots (50), foreign pictures (200), views looked at (24), wrong keys (100,000), innocent copies "
+    "(10,000), assets (1,000) or questions to an oracle (300)."
 )
 
 

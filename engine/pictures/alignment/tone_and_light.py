@@ -21,12 +21,12 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from engine.model import Bool, Float32, Float64
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import resized
 from engine.numerics.tables import look_up
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.landmarks.keypoints import LUMA, noise_level
-from engine.raster import View
+from engine.raster import RasterSettings, Rendering, draw
 
 __all__ = [
     "TONES",
@@ -267,38 +267,42 @@ TONES = (ViewerTone("aces", _aces), ViewerTone("aces2", _aces2), ViewerTone("neu
 0.87 to 1.05 times the z."""
 
 
-def find_viewer_tone(view: View, colors: Float32, alpha: Float32, picture: Float32) -> ViewerTone | None:
-    """Which of `TONES` the viewer applied to every Gaussian, None where none explains the picture clearly better.
+def find_viewer_tone(
+    model: GaussianModel, camera: Camera, settings: RasterSettings, picture: Float32
+) -> ViewerTone | None:
+    """Which of `TONES` the viewer of a picture (H, W, 3), 0..1, from this camera applied to every Gaussian of the
+    model; None where none explains the picture clearly better."""
+    tone = None
+    # In a small view Gaussians thinner than a pixel are wider than in the picture, which a curve may seem to explain:
+    # it only says whether to look again.
+    for seen_from in (camera.with_side(_VIEWER.side), camera):
+        tone = _tone_of(draw(model, seen_from, settings=settings), picture)
+        if tone is None:
+            break
+    return tone
 
-    Parameters
-    ----------
-    view : View
-        Of the reference, from the picture's camera reduced to some `side` pixels.
-    colors : (N, 3)
-        The Gaussians' own, as seen from there.
-    alpha : (h, w)
-        The view's opacity.
-    picture : (H, W, 3)
-        0..1, of any size.
-    """
-    seen = resized(picture, view.camera.width, view.camera.height)
-    solid: Bool = (alpha > _VIEWER.solid) & (seen.max(axis=2) < _VIEWER.clipped)
+
+def _tone_of(plain: Rendering, picture: Float32) -> ViewerTone | None:
+    """Which of `TONES` explains a picture clearly better than the plain render, all compared at one small size."""
+    camera = plain.view.camera
+    small = camera.with_side(min(_VIEWER.side, max(camera.width, camera.height)))
+
+    def reduced(image: Float32) -> Float32:
+        return resized(np.clip(image, 0.0, 1.0), small.width, small.height)
+
+    seen, unchanged = reduced(picture), reduced(plain.image)
+    solid: Bool = (reduced(plain.alpha) > _VIEWER.solid) & (seen.max(axis=2) < _VIEWER.clipped)
     if int(solid.sum()) < _VIEWER.least_pixels:
         return None
-
-    def drawn(tone: ViewerTone | None) -> Float32:
-        return np.clip(view.render(colors if tone is None else tone(colors))[0], 0.0, 1.0)
-
-    plain = drawn(None)
-    shown = {tone: drawn(tone) for tone in TONES}
+    shown = {tone: reduced(plain.view.render(tone(plain.colors))[0]) for tone in TONES}
     misses = {tone: _missed_by_line(image, seen, solid) for tone, image in shown.items()}
     best = min(misses, key=lambda tone: misses[tone])
-    if misses[best] > _VIEWER.better * _missed_by_line(plain, seen, solid):
+    if misses[best] > _VIEWER.better * _missed_by_line(unchanged, seen, solid):
         return None
     # A curve of the blended picture may do as well.
     blended, own = (
         float(np.median(np.abs(fit_tone(image, seen, solid, _VIEWER.knots).predicted - seen)[solid]))
-        for image in (plain, shown[best])
+        for image in (unchanged, shown[best])
     )
     return best if own < _VIEWER.better * blended else None
 

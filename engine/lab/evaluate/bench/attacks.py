@@ -141,7 +141,7 @@ def read_screenshots(scene: MarkedScene, trials: int, seed: int = 0, foreign: Ga
             ("part of it", _part(picture, rng)),
             ("on a page", _page(picture, rng)),
             ("scaled unevenly", _uneven(picture, rng)),
-            ("off a screen", _photograph(picture, rng)),
+            ("off a screen", photograph(picture, rng)),
             ("motion blur", to_8_bit(image_attack("motion_blur").apply(sharp, 15.0, rng=rng))),
             ("out of focus", to_8_bit(image_attack("blur").apply(sharp, 3.0, rng=rng))),
         ):
@@ -174,7 +174,7 @@ def _uneven(picture: Float32, rng: np.random.Generator) -> Float32:
     return np.asarray(cv2.resize(picture, (width, picture.shape[0]), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def _photograph(picture: Float32, rng: np.random.Generator) -> Float32:
+def photograph(picture: Float32, rng: np.random.Generator) -> Float32:
     """A photograph of a screen that shows this picture (H, W, 3): a corner up to a twentieth of the width from where it
     would be seen from straight ahead, a little soft, noisy and pale, JPEG 85."""
     height, width = picture.shape[:2]

@@ -13,11 +13,11 @@ from engine.extras import load_extra
 from engine.flows.embed.profiles import profile
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
-from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
+from engine.lab.evaluate.marked_scene import mark_scene
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import image_attack
 from engine.lab.sim.multiscale_ssim import ms_ssim_distance
-from engine.model import Camera, Float32
+from engine.model import Float32, Float64
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
 
@@ -26,9 +26,8 @@ __all__ = ["COMPARED_QUALITIES", "flip_map", "load_lpips", "look_at_mark", "pict
 Distance = Callable[[Float32, Float32], float]
 
 GAIN = 20.0
-PICTURE_SIDE = 480
-KEPT_QUALITY = 90
-"""WebP quality of the pictures kept for the report; nothing is measured on them."""
+PATCH_SIDE = 160
+"""Pixels of the square kept for the report: 2.4 degrees, about what is looked at at once."""
 COMPARED_QUALITIES = (95, 75)
 """JPEGs with which the mark is compared: a careful export, and what web pages serve."""
 
@@ -39,7 +38,7 @@ def look_at_mark(
     """Mark a scene and measure how it looks against the unmarked renders.
 
     At the key views and at `views` outside the pose key, of `size` pixels a side (at least 176): one row a view
-    (``kind`` "key" or "free"), and one with the worst view as pictures.
+    (``kind`` "key" or "free"), and one with the worst patch of these as pictures.
     """
     perceived = None if lpips_weights is None else load_lpips(lpips_weights)
     config = profile(profile_name, landmark_views=0)
@@ -48,14 +47,17 @@ def look_at_mark(
     jitter = np.random.default_rng((seed, 8)).random((views, 4))
     cameras = {"key": scene.opened.cameras, "free": make_rig(scene.original, views, size, size, jitter=jitter)}
     rows: list[Row] = []
+    worst: Row = {"patch_flip": -1.0}
     for kind, own in cameras.items():
         for number, camera in enumerate(own):
             plain, marked = render(scene.original, camera), render(scene.marked, camera)
             row = {**about, "kind": kind, "view": number, **_fidelity(plain, marked)}
-            rows.append(row | (_perception(plain, marked, perceived) if kind == "free" else {}))
-    worst = min(rows, key=lambda row: float(row["psnr"]))
-    pictures = _pictures(scene, cameras[worst["kind"]][worst["view"]])
-    return [*rows, {**about, "kind": "picture", "of": worst["kind"], **pictures}]
+            if kind == "free":
+                errors = flip_map(plain, marked)
+                row |= _perception(plain, marked, errors, perceived)
+                worst = max(worst, _worst_patch(plain, marked, errors), key=lambda patch: float(patch["patch_flip"]))
+            rows.append(row)
+    return [*rows, {**about, "kind": "picture", **worst}]
 
 
 def _fidelity(plain: Float32, marked: Float32) -> dict[str, float]:
@@ -68,18 +70,21 @@ def _fidelity(plain: Float32, marked: Float32) -> dict[str, float]:
     }
 
 
-def _perception(plain: Float32, marked: Float32, perceived: Distance | None) -> dict[str, float | None]:
-    errors = flip_map(plain, marked)
+def _perception(
+    plain: Float32, marked: Float32, errors: Float32, perceived: Distance | None
+) -> dict[str, float | None]:
     row = {
         "ms_ssim": 1.0 - ms_ssim_distance(plain, marked),
         "flip": float(errors.mean()),
-        "flip_999": float(np.quantile(errors, 0.999)),
+        "flip_99": float(np.quantile(errors, 0.99)),
         "lpips": None if perceived is None else perceived(plain, marked),
     }
     for quality in COMPARED_QUALITIES:
         stored = image_attack("jpeg").apply(to_8_bit(plain), quality)
         row[f"jpeg{quality}_psnr"] = psnr(plain, stored)
-        row[f"jpeg{quality}_flip"] = float(flip_map(plain, stored).mean())
+        errors = flip_map(plain, stored)
+        row[f"jpeg{quality}_flip"] = float(errors.mean())
+        row[f"jpeg{quality}_flip_99"] = float(np.quantile(errors, 0.99))
         row[f"jpeg{quality}_lpips"] = None if perceived is None else perceived(plain, stored)
     return row
 
@@ -127,20 +132,29 @@ def load_lpips(weights: str) -> Distance:
     return distance
 
 
-def _pictures(scene: MarkedScene, camera: Camera) -> dict[str, str]:
-    """Original, marked and amplified difference at one view, rendered smaller."""
-    small = camera.resized(PICTURE_SIDE, round(PICTURE_SIDE * camera.height / camera.width))
-    plain, marked = render(scene.original, small), render(scene.marked, small)
-    difference: Float32 = np.float32(GAIN) * np.abs(np.clip(plain, 0, 1) - np.clip(marked, 0, 1))
-    pictures = {"original": plain, "marked": marked, "difference": difference}
-    return {name: picture_text(picture) for name, picture in pictures.items()}
+def _worst_patch(plain: Float32, marked: Float32, errors: Float32) -> Row:
+    """The square of a view in which FLIP sees the mark most, pixel by pixel."""
+    means = sliding_mean(errors, PATCH_SIDE)
+    top, left = np.unravel_index(means.argmax(), means.shape)
+    plain, marked = (np.clip(image[top:, left:][:PATCH_SIDE, :PATCH_SIDE], 0, 1) for image in (plain, marked))
+    shown = {"original": plain, "marked": marked, "difference": np.float32(GAIN) * np.abs(plain - marked)}
+    return {"patch_flip": float(means[top, left]), **{name: picture_text(each) for name, each in shown.items()}}
+
+
+def sliding_mean(plane: Float32, side: int) -> Float64:
+    """(H - side + 1, W - side + 1) mean of the square that begins at each pixel; one as large as fits, if `side` does
+    not."""
+    rows, columns = min(side, plane.shape[0]), min(side, plane.shape[1])
+    sums = np.pad(plane.astype(np.float64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    inside = sums[rows:, columns:] - sums[:-rows, columns:] - sums[rows:, :-columns] + sums[:-rows, :-columns]
+    return np.asarray(inside / (rows * columns))
 
 
 def picture_text(image: Float32) -> str:
-    """A picture as base64 of a WebP file, so that a row can hold it."""
+    """A picture as base64 of a PNG file, so that a row can hold it."""
     from PIL import Image
 
     out = io.BytesIO()
     content = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
-    Image.fromarray(content).save(out, "WEBP", quality=KEPT_QUALITY)
+    Image.fromarray(content).save(out, "PNG")
     return base64.b64encode(out.getvalue()).decode()
