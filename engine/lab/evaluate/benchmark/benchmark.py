@@ -3,14 +3,13 @@
 About 10 minutes of processor time a scene of 100,000 Gaussians, method and key. Quick: four attacks, one picture.
 """
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from engine.lab.evaluate.bench.attacks import other_views, to_8_bit
-from engine.lab.evaluate.benchmark.methods import BITS, LEAST_MATCHES, OURS, Subject, mark_subject
+from engine.lab.evaluate.benchmark.methods import BITS, LEAST_MATCHES, OURS, Subject, mark_subject, scenes_and_methods
 from engine.lab.evaluate.marked_subjects import picture_of
 from engine.lab.evaluate.study import Bar, Cell, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import distinct, grouped, listed, picked
@@ -28,35 +27,38 @@ VIEWS, SIDE = 6, 800
 PICTURES = 2
 """Of these views, how many are attacked; a row has the worse one."""
 OF_VIEWS = 0xBE7C
+UNCHANGED_DB = 99.0
+"""Stands for this PSNR and all above, infinity included."""
 QUICK = ("none", "prune random 20 %", "JPEG 10", "noise 0.1")
 OUTCOMES = ("removed", "ruined", "held")
 """The claim is lost though the look is kept; lost with it; kept."""
 
 
-def attack(path: str, name: str, seed: int, quick: bool) -> list[Row]:
+def attack(path: str, method: str, seed: int, quick: bool) -> list[Row]:
     """Mark a scene and attack it; ``what`` of a row is "embedding", "attack" or "false".
 
     A row "attack" has the bits read ``right`` (None: the method reads no such thing), whether that is a claim, and by
     its cost (see `engine.lab.sim.attack_cost`) the outcome, one of `OUTCOMES`. Rows "false" are of suspects that do
     not carry the mark: the unmarked scene, and the one that the next seed's owner has marked.
     """
-    began = time.perf_counter()
-    subject = mark_subject(name, path, seed)
-    seconds = time.perf_counter() - began
+    subject = mark_subject(method, path, seed)
     views = other_views(subject.original, VIEWS, SIDE, (seed, OF_VIEWS))[: 2 if quick else None]
     pairs = [(render(subject.original, camera), render(subject.marked, camera)) for camera in views]
     fidelity = {"psnr": min(psnr(a, b) for a, b in pairs), "ssim": min(ssim(a, b) for a, b in pairs)}
-    rows: list[Row] = [{"what": "embedding", "seconds": seconds, **fidelity}]
+    rows: list[Row] = [{"what": "embedding", "seconds": subject.seconds, **fidelity}]
     pictures = views[: 1 if quick else PICTURES]
     for trial in SUITE:
         if quick and trial.label not in QUICK:
             continue
-        tried = [_on_picture(subject, trial, camera, seed) for camera in pictures] if trial.kind == "image" else []
-        which = {"what": "attack", "attack": trial.label, "on": trial.kind, "source": trial.source}
-        rows.append(which | min(tried or [_on_model(subject, trial, seed)], key=lambda row: row["right"] or 0))
-    rows += _false(subject, mark_subject(name, path, seed + 1).marked, views[0])
-    method = subject.method
-    about: Row = {"scene": Path(path).name, "method": method.name, "informed": method.informed, "seed": seed}
+        if trial.kind == "image":
+            tried = [_on_picture(subject, trial, camera, seed) for camera in pictures]
+        else:
+            tried = [_on_model(subject, trial, seed)]
+        worst = min(tried, key=lambda row: (bool(row["claimed"]), row["right"] or 0))
+        rows.append({"what": "attack", "attack": trial.label, "on": trial.kind, "source": trial.source, **worst})
+    rows += _false(subject, mark_subject(method, path, seed + 1).marked, views[0])
+    about: Row = {"scene": Path(path).name, "seed": seed}
+    about |= {"method": subject.method.name, "informed": subject.method.informed}
     return [{**about, **row} for row in rows]
 
 
@@ -78,7 +80,7 @@ def _on_picture(subject: Subject, trial: Trial, camera: Camera, seed: int) -> Ro
 
 def judge(found: tuple[int, bool, float | None] | None, cost: Cost) -> Row:
     """What was read, and what it cost the attacker."""
-    look = cost.psnr if cost.covered_psnr is None else max(cost.psnr, cost.covered_psnr)
+    look = min(cost.psnr if cost.covered_psnr is None else max(cost.psnr, cost.covered_psnr), UNCHANGED_DB)
     row: Row = {"right": None, "claimed": None, "z": None, "psnr": look, "coverage": cost.coverage, "outcome": None}
     if found is None:
         return row
@@ -100,9 +102,8 @@ def _false(subject: Subject, foreign: GaussianModel, camera: Camera) -> list[Row
 
 def _cells(options: Options) -> list[Cell]:
     return [
-        Cell.of(f"{number}-{place}-{seed}", attack, path=path, name=method, seed=seed, quick=options.quick)
-        for number, path in enumerate(options.scenes)
-        for place, method in enumerate(options.methods or (OURS,))
+        Cell.of(f"{name}-{seed}", attack, **which, seed=seed, quick=options.quick)
+        for name, which in scenes_and_methods(options)
         for seed in range(options.seed, options.seed + (options.trials or 1))
     ]
 

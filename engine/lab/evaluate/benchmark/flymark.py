@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from engine.flows.views.camera_rig import measure_extent
-from engine.lab.evaluate.benchmark.methods import BITS, OURS, mark_subject
+from engine.lab.evaluate.benchmark.methods import BITS, OURS, mark_subject, scenes_and_methods
 from engine.lab.evaluate.study import Bar, Cell, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import grouped, listed, picked
 from engine.lab.sim.attacks import model_attack
@@ -96,9 +96,8 @@ def area_of(clean: Sequence[Row], family: Sequence[Row]) -> float:
 
 def _cells(options: Options) -> list[Cell]:
     return [
-        Cell.of(f"{number}-{place}-{key}", measure, path=path, method=method, key=key, quick=options.quick)
-        for number, path in enumerate(options.scenes)
-        for place, method in enumerate(options.methods or (OURS,))
+        Cell.of(f"{name}-{key}", measure, **which, key=key, quick=options.quick)
+        for name, which in scenes_and_methods(options)
         for key in (KEYS[:1] if options.quick else KEYS)
     ]
 

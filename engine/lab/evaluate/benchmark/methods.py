@@ -3,7 +3,8 @@
 import hashlib
 import importlib
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Protocol
@@ -19,12 +20,23 @@ from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.marked_scene import bench_key
+from engine.lab.evaluate.study import Options
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.watermark.keys import POSE, uniform
 from engine.watermark.messages import Signs, derive_message, message_signs
 from engine.watermark.rates import MADE_FIRST
 
-__all__ = ["BITS", "LEAST_MATCHES", "OURS", "Extractor", "Found", "Subject", "find_method", "mark_subject"]
+__all__ = [
+    "BITS",
+    "LEAST_MATCHES",
+    "OURS",
+    "Extractor",
+    "Found",
+    "Subject",
+    "find_method",
+    "mark_subject",
+    "scenes_and_methods",
+]
 
 BITS = 32
 LEAST_MATCHES = 26
@@ -170,6 +182,7 @@ class Subject:
     original: GaussianModel
     marked: GaussianModel
     message: Signs
+    seconds: float  # that marking took
 
     def read_model(self, suspect: GaussianModel) -> tuple[int, bool, float | None] | None:
         """Bits read right, whether that is a claim, z; None where the method reads no models."""
@@ -197,7 +210,15 @@ def mark_subject(name: str, path: str, seed: int) -> Subject:
     """
     method, message = find_method(name), derive_message(bench_key(seed), BITS, b"benchmark")
     original = read_model(path).model
+    began = time.perf_counter()
     marked = method.embed(original, message, seed)
     if not isinstance(marked, GaussianModel):
         raise InputError(f"the method {method.name!r} marked a model and gave a {type(marked).__name__} back")
-    return Subject(method, original, marked, message)
+    return Subject(method, original, marked, message, time.perf_counter() - began)
+
+
+def scenes_and_methods(options: Options) -> Iterator[tuple[str, dict[str, str]]]:
+    """Of each scene and method, what names a cell, and the arguments of its function."""
+    for number, path in enumerate(options.scenes):
+        for place, method in enumerate(options.methods or (OURS,)):
+            yield f"{number}-{place}", {"path": path, "method": method}

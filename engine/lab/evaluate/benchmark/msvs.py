@@ -16,7 +16,7 @@ import numpy as np
 
 from engine.flows.views.camera_rig import GOLDEN_ANGLE, UP, direction, make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import to_8_bit
-from engine.lab.evaluate.benchmark.methods import BITS, OURS, mark_subject
+from engine.lab.evaluate.benchmark.methods import BITS, OURS, mark_subject, scenes_and_methods
 from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.study import Bar, Cell, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import grouped, listed
@@ -72,17 +72,8 @@ def measure(path: str, method: str, shell: float, seed: int, quick: bool) -> lis
 
 def _cells(options: Options) -> list[Cell]:
     return [
-        Cell.of(
-            f"{number}-{place}-shell-{shell:g}",
-            measure,
-            path=path,
-            method=method,
-            shell=shell,
-            seed=options.seed,
-            quick=options.quick,
-        )
-        for number, path in enumerate(options.scenes)
-        for place, method in enumerate(options.methods or (OURS,))
+        Cell.of(f"{name}-{shell:g}", measure, **which, shell=shell, seed=options.seed, quick=options.quick)
+        for name, which in scenes_and_methods(options)
         for shell in (SHELLS[1:3] if options.quick else SHELLS)
     ]
 
