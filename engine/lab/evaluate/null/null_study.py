@@ -1,7 +1,7 @@
 """Suite 4: calibration. Does the measured rate of false claims keep below the stated bound, whatever is tried?
 
 Full: about 20 suspects with a million wrong keys each, 10,000 other recipients, power from thinned models and from
-bad pictures, a detector that must fail, forged originals and an oracle: about 10 minutes a scene of 100k Gaussians on 2
+bad pictures, a detector that must fail, and forged originals: about 10 minutes a scene of 100k Gaussians on 2
 cores. Quick: the same with 100,000 keys, few trials, small views.
 """
 
@@ -20,7 +20,7 @@ from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, 
 from engine.lab.evaluate.summary import distinct, grouped, listed, picked, table
 from engine.watermark.statistics import z_threshold
 
-__all__ = ["STUDY", "draw_false_claims", "draw_oracle", "draw_power", "draw_roc"]
+__all__ = ["STUDY", "draw_false_claims", "draw_power", "draw_roc"]
 
 SHARES = (0.1, 0.03, 0.01, 0.003, 0.001, 0.0005, 0.00025)
 PICTURES = (1, 2, 4, 8, 16)
@@ -52,7 +52,6 @@ def _of_scene(number: int, path: str, options: Options) -> list[Cell]:
     add("copies", null_cells.try_copies, copies=200 if quick else 10_000)
     add("wrong-detector", null_cells.rebuild_reference, keys=5 if quick else 100)
     add("forged", null_cells.forge_original)
-    add("oracle", null_cells.ask_oracle, repeats=1 if quick else 10)
     add("gaussians", null_cells.few_gaussians, shares=shares, trials=2 if quick else 20)
     add("pictures", null_cells.few_pictures, counts=counts, draws=20 if quick else 200)
     if len(options.scenes) > 1:
@@ -63,7 +62,7 @@ def _of_scene(number: int, path: str, options: Options) -> list[Cell]:
 def report(rows: list[Row], options: Options) -> Report:
     """Bars on false claims first, then the counts, the counterexamples and the power."""
     tried, forged, wrong = (picked(rows, what=what) for what in ("null", "forged", "wrong detector"))
-    power, oracle = (picked(rows, what=what) for what in ("power", "oracle"))
+    power = picked(rows, what="power")
     rates, largest = add_up(tried, "all"), max(row["z_largest"] for row in tried)
     answer = (
         f"{rates.keys:,} keys, unrelated to the suspects they were tested on, made {rates.hits[-1]} claims at 1e-9; "
@@ -72,7 +71,7 @@ def report(rows: list[Row], options: Options) -> Report:
     measured = zip(LOG10_THRESHOLDS, rates.shares, strict=True)
     return Report(
         [*_null_bars(tried, forged, rates), _counter_bar(wrong)],
-        [_null_section(tried, wrong, forged), _power_section(power), _oracle_section(oracle)],
+        [_null_section(tried, wrong, forged), _power_section(power)],
         answer=[answer],
         summary={
             "wrong_keys": rates.keys,
@@ -222,22 +221,6 @@ def _enough(rows: Sequence[Row], what: str) -> str:
     return f"more than {amounts[-1]:,} {what}" if amounts else f"no {what} measured"
 
 
-def _oracle_section(oracle: Sequence[Row]) -> Section:
-    enough = [row["queries"] for row in oracle if row["z_told_z"] >= row["z_threshold"]]
-    verdicts = max((row["z_told_verdict"] for row in oracle), default=0.0)
-    after = f"after {min(enough)} questions" if enough else "after no number of questions tried"
-    text = (
-        "The bound holds for keys unrelated to the suspect. A detector that answers strangers breaks this: given z, "
-        f"and even the code vectors, a stranger frames the owner {after}. Given the verdict alone he learns nothing "
-        f"this way (largest z {verdicts:.1f}); with a marked copy he could still walk along the edge of the verdict, "
-        "which was not tried. This is why z belongs to the owner, and why the service answers others coarsely and "
-        "counts their queries."
-    )
-    title = f"An oracle that reveals z is enough to frame its owner {after}"
-    drawing = Drawing("oracle", partial(draw_oracle, oracle, title), "z of the sum of liked patterns.")
-    return Section("What the owner's own answers give away", [text], [], [drawing])
-
-
 STUDY = Study(
     "null",
     "Truth: measured false claims against the proven bound",
@@ -305,20 +288,4 @@ def draw_power(gaussians: Sequence[Row], pictures: Sequence[Row], title: str) ->
         axis.minorticks_off()
     axes[0].set_ylabel("share claimed at 1e-9, 95 %")
     axes[0].legend(fontsize=7.0)
-    return drawn
-
-
-def draw_oracle(rows: Sequence[Row], title: str) -> Figure:
-    """z of a forged pattern against the number of queries."""
-    drawn, axes = figure(height=3.4)
-    queries = sorted(distinct(rows, "queries"))
-    series = (("z_told_z", "z is revealed"), ("z_told_verdict", "the verdict alone is revealed"))
-    for style, (field, label) in zip(styles(), series, strict=False):
-        z = [[row[field] for row in picked(rows, queries=count)] for count in queries]
-        mean, low, high = ([of(own) for own in z] for of in (np.mean, min, max))
-        spread_curve(axes, queries, mean, low, high, thin=1.6, label=label, **style)
-    label_line(axes, rows[0]["z_threshold"], "claim at 1e-9")
-    axes.set(xscale="log", xlabel="questions to the owner's detector", title=title)
-    axes.set_ylabel("z of the forged pattern, mean and range")
-    axes.legend(fontsize=7.0, loc="upper left")
     return drawn

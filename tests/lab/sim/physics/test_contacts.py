@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from engine.lab.sim.physics.body import Body, Material, make_body, strain_norms
-from engine.lab.sim.physics.world import Plane, Sphere, World, ground, step
+from engine.lab.sim.physics.world import Plane, Sphere, World, energy, ground, step
 from engine.model import GaussianModel
 from tests.lab.sim.physics.conftest import angular_momentum, momentum
-from tests.lab.sim.physics.energies import energy
 
 NOWHERE = np.zeros(3)
 UNDAMPED = Material(viscosity=0.0)

@@ -9,10 +9,9 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.sim.physics.body import Body, Material, deformation_gradients, make_body, pose, strain_norms
-from engine.lab.sim.physics.world import Plane, Sphere, World, ground, step
+from engine.lab.sim.physics.world import Plane, Sphere, World, energy, ground, step
 from engine.model import GaussianModel
 from tests.lab.sim.physics.conftest import angular_momentum, momentum
-from tests.lab.sim.physics.energies import energy
 from tests.threads import with_one_and_two_threads
 
 NOWHERE = np.zeros(3)
