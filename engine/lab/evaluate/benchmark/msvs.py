@@ -85,8 +85,8 @@ def _report(rows: list[Row], options: Options) -> Report:
         if method == OURS and read:
             claims = sum(row["claimed"] for row in read)
             low, high = share_interval(claims, len(read))
-            empty = sum("claimed" not in row for row in own)
-            measured = f"{claims} of {len(read)} (95 %: {100 * low:.0f} to {100 * high:.0f} %; {empty} more show next to nothing)"
+            empty = f"{sum('claimed' not in row for row in own)} more show next to nothing"
+            measured = f"{claims} of {len(read)} (95 %: {100 * low:.0f} to {100 * high:.0f} %; {empty})"
             what = f"{scene}: pictures that claim, camera {camera}"
             bars.append(Bar(what, f">= {100 * LEAST:g} %", measured, claims >= LEAST * len(read)))
     text = (
