@@ -188,7 +188,9 @@ def test_attacks(capsys: Capsys, tmp_path: Path) -> None:
 def test_render_and_bench(capsys: Capsys, tmp_path: Path) -> None:
     assert "view" in str(refused(capsys, "render", SMALL, tmp_path / "a.png", "--view", "99")["message"])
     assert ".png" in str(refused(capsys, "render", SMALL, tmp_path / "a.gif")["message"])
-    assert "raster" in str(refused(capsys, "evaluate", "--suite", "everything")["message"])
+    assert "flymark" in str(refused(capsys, "evaluate", "--suite", "everything")["message"])
+    wrong = refused(capsys, "evaluate", "--suite", "null", "--method", "qim", "--out", tmp_path)["message"]
+    assert "no option --method" in str(wrong)
 
 
 def test_an_unknown_profile_has_no_settings(capsys: Capsys) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.lab.evaluate.bench.raster import bench_raster, naive_forward
 from engine.model import Camera, GaussianModel, look_at
 from engine.raster import RasterSettings, backward, draw, prepare_view, render, sh_colors
 from engine.raster.disc_projection import project_discs
@@ -222,12 +221,3 @@ def test_geometry_has_no_gradient_and_says_so() -> None:
     rendering = draw(DISCS, camera())
     with pytest.raises(InputError, match="discs"):
         backward(rendering, rendering.image)
-
-
-def test_benchmark_draws_discs_too() -> None:
-    view = prepare_view(DISCS, camera())
-    difference = np.abs(naive_forward(view, colors_for(200)) - view.render(colors_for(200))[0])
-    assert difference.max() <= TOLERANCE["pixel"]
-    result = bench_raster(random_discs(500, 91, 4), 64, 48, 1)
-    assert result["blend_ms"] > 0
-    assert "backward_ms" not in result

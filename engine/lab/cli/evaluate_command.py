@@ -15,7 +15,7 @@ from engine.lab.cli.shared import Seed, shipped_scene
 
 TRIALS_HELP = (
     "Trials: screenshots (50), foreign pictures (200), views looked at (24), wrong keys (100,000), innocent copies "
-    "(10,000), assets (1,000) or questions to an oracle (300)."
+    "(10,000), assets (1,000) or keys of a benchmark (1)."
 )
 
 
@@ -50,14 +50,16 @@ def evaluate(
     profile: Annotated[
         str | None, typer.Option("--profile", metavar="P", help="fast (default), balanced or strong. (measurements)")
     ] = None,
-    repeats: Annotated[
-        int | None,
-        typer.Option("--repeats", min=1, help="Timed runs (3); the median is reported. (raster, embed, verify)"),
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="What is measured: ours (default), qim, spread, dct, rivagan, or a class of yours as module:Class; "
+            "repeatable. (benchmark, flymark, msvs)",
+        ),
     ] = None,
     trials: Annotated[int | None, typer.Option("--trials", min=1, help=TRIALS_HELP)] = None,
-    size: Annotated[
-        tuple[int, int] | None, typer.Option("--size", metavar="W H", help="Pixels of the image. (raster)")
-    ] = None,
     lpips_weights: Annotated[
         Path | None, typer.Option("--lpips-weights", help="File with the weights of LPIPS. (perceptual)")
     ] = None,
@@ -83,7 +85,7 @@ def evaluate(
       mark3dgs evaluate --list
       mark3dgs evaluate --suite pareto --out out/pareto
       mark3dgs evaluate --suite tables --setting table2 --out out/tables
-      mark3dgs evaluate --suite embed --scene city.sog --repeats 5
+      mark3dgs evaluate --suite fidelity --scene city.sog
     """
     console = Console(json)
     if out is not None and out.exists() and not out.is_dir():
@@ -102,12 +104,11 @@ def evaluate(
         "quick": quick or None,
         "settings": tuple(setting) if setting else None,
         "profile": profile,
-        "repeats": repeats,
         "trials": trials,
-        "size": size,
+        "methods": tuple(method) if method else None,
         "lpips_weights": None if lpips_weights is None else str(lpips_weights),
     }
-    common = Options(_scenes(scene), seed=seed, spare=str(shipped_scene()))
+    common = Options(_scenes(scene), seed=seed)
     options = replace(common, **_known(given, study.knows, suite))
     cells = study.cells(options)
     report: dict[str, Any] = {"suite": suite, "cells": len(cells), "machine": machine_info()}
@@ -148,7 +149,7 @@ def _known(given: dict[str, Any], known: frozenset[str], suite: str) -> dict[str
     found = {name: value for name, value in given.items() if value is not None}
     for name in found:
         if name not in known:
-            option = {"settings": "setting"}.get(name, name.replace("_", "-"))
+            option = {"settings": "setting", "methods": "method"}.get(name, name.replace("_", "-"))
             raise InputError(f"the suite {suite!r} has no option --{option}")
     return found
 

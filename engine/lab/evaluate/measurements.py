@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from engine.lab.evaluate.study import Cell, Options, Report, Row, Section, Study, Table
 
-TRIALS = {"trials": 50, "keys": 100_000, "innocents": 10_000, "assets": 1_000, "questions": 300, "pictures": 200}
+TRIALS = {"trials": 50, "keys": 100_000, "innocents": 10_000, "assets": 1_000, "pictures": 200}
 """What `--trials` counts in each suite, and its default."""
 
 
@@ -21,9 +21,8 @@ class Measurement:
     """Options that the function takes and the report repeats; those in TRIALS take their number from `--trials`."""
     unreported: tuple[str, ...] = ()
     """Options that the function takes and the report leaves to the rows."""
-    scenes: Literal["each", "together", "with the next", "with another"] = "each"
-    """A cell for each scene, or one for all; with `other`, the scene after it (None if it is the only one), or the
-    spare one in place of None."""
+    scenes: Literal["each", "together", "with the next"] = "each"
+    """A cell for each scene, or one for all; with `other`, the scene after it (None if it is the only one)."""
 
     def study(self, name: str) -> Study:
         """The suite as a study whose report is the table of its rows."""
@@ -50,9 +49,8 @@ class Measurement:
         cells = []
         for number, (scene, after) in enumerate(zip(scenes, [*scenes[1:], scenes[0]], strict=True)):
             arguments = {"scene": scene, **shared}
-            if self.scenes in ("with the next", "with another"):
-                last = options.spare if self.scenes == "with another" else None
-                arguments["other"] = after if after != scene else last
+            if self.scenes == "with the next":
+                arguments["other"] = after if after != scene else None
             stem = "".join(letter if letter.isalnum() else "_" for letter in Path(scene).stem)
             cells.append(Cell(f"{name}-{number}-{stem}", work, arguments))
         return cells
@@ -72,15 +70,6 @@ def _section(rows: Sequence[Row]) -> Section:
 
 
 MEASUREMENTS = {
-    "raster": Measurement(
-        "milliseconds forward and backward, against a plain loop", "raster:measure_raster", ("repeats",), ("size",)
-    ),
-    "embed": Measurement("seconds by stage and peak memory", "timing:measure_embed", ("profile", "repeats")),
-    "verify": Measurement(
-        "seconds for a model, a picture, a screenshot of unknown camera",
-        "timing:measure_verify",
-        ("profile", "repeats"),
-    ),
     "fidelity": Measurement(
         "dB, SSIM and bits for every message length and the compact output", "marking:measure_fidelity"
     ),
@@ -106,11 +95,6 @@ MEASUREMENTS = {
         ("profile", "keys"),
         scenes="together",
     ),
-    "suite": Measurement(
-        "every attack of the simulator, with what it costs the attacker; failures first",
-        "attacks:measure_suite",
-        scenes="with another",
-    ),
     "collusion": Measurement(
         "collusion: which of the colluding buyers are named, and whether an innocent one is",
         "truth:measure_collusion",
@@ -123,11 +107,6 @@ MEASUREMENTS = {
         scenes="together",
     ),
     "removal": Measurement("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
-    "oracle": Measurement(
-        "what it saves an attacker to learn, so many times, whether the mark is still there",
-        "oracle:measure_oracle",
-        ("profile", "questions"),
-    ),
     "retrain": Measurement(
         "claims from fresh models trained on renders of the marked one", "training:measure_retraining"
     ),

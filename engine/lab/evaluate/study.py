@@ -31,10 +31,8 @@ class Options:
     lpips_weights: str | None = None  # file with the weights of LPIPS
     settings: tuple[str, ...] = ()  # parts of the suite by name; empty: all
     profile: str = "fast"
-    repeats: int = 3  # timed runs; the median is reported
     trials: int | None = None  # None: the suite's own number
-    size: tuple[int, int] = (1297, 840)  # pixels of an image, width and height
-    spare: str = ""  # a second model where only one is given, for suites that need two
+    methods: tuple[str, ...] = ()  # under test, by name or as module:Class; empty: ours
 
 
 @dataclass(frozen=True)

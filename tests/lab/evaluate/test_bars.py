@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from engine.lab.evaluate.baselines import baselines_study as baselines
 from engine.lab.evaluate.cost import cost_study as cost
 from engine.lab.evaluate.null import null_study as null
 from engine.lab.evaluate.null.null_rates import LOG10_THRESHOLDS, Rates
@@ -46,11 +45,6 @@ def _perceptual(psnr: float, ssim: float) -> Sequence[Bar]:
     return perceptual._bars([good, {**row, "psnr": psnr, "ssim": ssim}])
 
 
-def _baselines(right: float) -> Sequence[Bar]:
-    attack = next(iter(baselines.TABLE_2))
-    return baselines._bars([{"attack": attack, "method": "ours", "right": right}])
-
-
 SIDES: dict[str, tuple[Callable[[], Sequence[Bar]], str, bool]] = {
     "no claim": (lambda: _null(0, 1_000_000), "claims at 1e-9", True),
     "one claim": (lambda: _null(1, 1_000_000), "claims at 1e-9", False),
@@ -75,8 +69,6 @@ SIDES: dict[str, tuple[Callable[[], Sequence[Bar]], str, bool]] = {
     "PSNR below": (lambda: _perceptual(46.99, 1.0), "PSNR", False),
     "SSIM at the bar": (lambda: _perceptual(30.0, 0.998), "SSIM", True),
     "SSIM below": (lambda: _perceptual(60.0, 0.9979), "SSIM", False),
-    "baselines, all bits": (lambda: _baselines(32.0), "32 bits after", True),
-    "baselines, a bit wrong": (lambda: _baselines(31.0), "32 bits after", False),
 }
 
 

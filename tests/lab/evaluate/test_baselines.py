@@ -12,15 +12,11 @@ import pytest
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.lab.evaluate.baselines.baselines_study import STUDY
 from engine.lab.evaluate.baselines.method import Kept
-from engine.lab.evaluate.baselines.methods import METHODS, find_method
+from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
-from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.evaluate.published import read_published
-from engine.lab.evaluate.report import write_report
-from engine.lab.evaluate.study import Options
 from engine.lab.sim.attacks import model_attack
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr
@@ -113,8 +109,6 @@ def test_rivagan_says_what_it_lacks() -> None:
     assert reason == "" or "not installed" in reason
     with pytest.raises(InputError, match="32 bits, got 16"):
         RivaGan().encode(np.zeros((8, 8, 3), dtype=np.float32), KEY, MESSAGE[:16])
-    with pytest.raises(InputError, match="no method is called 'x'"):
-        find_method("x")
 
 
 def test_published_numbers_have_their_conditions() -> None:
@@ -126,23 +120,3 @@ def test_published_numbers_have_their_conditions() -> None:
     keys = [(point.method, point.what, point.conditions) for point in points]
     assert len(set(keys)) == len(keys)
     assert "published, other hardware, blind" in next(p.label for p in points if p.method == "GuardSplat")
-
-
-@pytest.mark.long
-def test_the_quick_study_puts_methods_side_by_side(tmp_path: Path) -> None:
-    options = Options((PLANT,), quick=True)
-    rows = run_cells(STUDY.cells(options), tmp_path / "cells")
-    said = write_report(STUDY, rows, options, tmp_path)
-    table_2 = [bar for bar in said["bars"] if bar["what"].startswith("32 bits")]
-    assert len(table_2) == 3
-    assert all(bar["met"] for bar in table_2 if "JPEG" not in bar["what"])  # of one small picture, a bit may go
-    assert min(row["right"] for row in rows if row["method"] == "ours" and "right" in row) >= 31
-    found = {(row["method"], row["attack"]): row["right"] for row in rows if row.get("on") == "model"}
-    assert found["ours", "similarity x10 + shuffle"] == 32
-    assert found["qim", "similarity x10 + shuffle"] < 26
-    assert found["qim", "prune random 20 %"] == 32
-    assert found["spread", "prune random 20 %"] < 26
-    page = (tmp_path / "report.html").read_text()
-    assert "GuardSplat" in page
-    assert "blind, a harder problem" in page
-    assert "figures/matrix.svg" in said["figures"]

@@ -9,16 +9,16 @@ import pytest
 from engine.errors import InputError
 from engine.lab.evaluate.measurements import MEASUREMENTS
 from engine.lab.evaluate.study import Cell, Options
-from engine.lab.evaluate.suites import STUDIES, find_study, summaries
+from engine.lab.evaluate.suites import PROTOCOLS, STUDIES, find_study, summaries
 
 SCENES = ("a/plant.splat", "b/plant.splat")
 
 
 def cells_of(name: str, scenes: tuple[str, ...] = SCENES) -> list[Cell]:
-    return find_study(name).cells(Options(scenes, spare="spare.splat"))
+    return find_study(name).cells(Options(scenes))
 
 
-@pytest.mark.parametrize("name", [*MEASUREMENTS, *STUDIES])
+@pytest.mark.parametrize("name", [*MEASUREMENTS, *STUDIES, *PROTOCOLS])
 def test_functions_take_what_their_cells_say(name: str) -> None:
     cells = cells_of(name)
     assert len({cell.name for cell in cells}) == len(cells)
@@ -29,7 +29,7 @@ def test_functions_take_what_their_cells_say(name: str) -> None:
 
 
 def test_every_suite_is_listed_and_no_other_is_found() -> None:
-    assert list(summaries()) == [*STUDIES, *MEASUREMENTS]
+    assert list(summaries()) == [*STUDIES, *PROTOCOLS, *MEASUREMENTS]
     assert all(find_study(name).name == name for name in summaries())
     with pytest.raises(InputError, match="there is no suite 'table7'"):
         find_study("table7")
@@ -46,8 +46,7 @@ def test_scenes_stand_alone_together_or_beside_another() -> None:
     assert [cell.arguments["scene"] for cell in cells_of("fidelity")] == list(SCENES)
     assert [cell.arguments["scenes"] for cell in cells_of("truth")] == [list(SCENES)]
     assert [cell.arguments["other"] for cell in cells_of("screenshots")] == ["b/plant.splat", "a/plant.splat"]
-    alone = [cells_of(name, SCENES[:1])[0].arguments["other"] for name in ("screenshots", "suite")]
-    assert alone == [None, "spare.splat"]
+    assert cells_of("screenshots", SCENES[:1])[0].arguments["other"] is None
 
 
 def test_the_report_of_a_measurement_is_its_rows() -> None:

@@ -1,4 +1,1 @@
-"""Other methods, runnable: on the same scenes, at the same fidelity, under the same attacks as ours (suite 6).
-
-The stability study comes in, too. Start at `methods`, the small interface that a method stands behind.
-"""
+"""Other methods, runnable, at the fidelity of ours: for the benchmark, sweeps and detectors. Start at `methods`."""

@@ -34,15 +34,11 @@ class Method(ABC):
 
     name: str  # in tables
     stands_for: str  # which published class this is, and what of it is not
-    keyed: bool = True  # whether another key reads something else
+    informed: bool = False  # whether reading compares with the original
 
     def missing(self) -> str:
         """Why it cannot run here; empty when it can."""
         return ""
-
-    def cameras(self, original: GaussianModel) -> list[Camera]:
-        """The owner's views at which pictures are read best; none for a reader of models."""
-        return []
 
     @abstractmethod
     def colors(self, model: GaussianModel, key: OwnerKey, message: Signs) -> tuple[Callable[[float], Float32], float]:

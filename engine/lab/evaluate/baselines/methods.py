@@ -1,11 +1,10 @@
-"""The runnable methods by name, so that any study can compare them with ours."""
+"""The runnable methods by name."""
 
-from engine.errors import InputError
 from engine.lab.evaluate.baselines.method import Method
 from engine.lab.evaluate.baselines.model_marks import DitheredQim, FileOrderSpreadSpectrum
 from engine.lab.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
 
-__all__ = ["METHODS", "find_method"]
+__all__ = ["METHODS"]
 
 METHODS: dict[str, Method] = {
     "qim": DitheredQim(
@@ -17,6 +16,7 @@ METHODS: dict[str, Method] = {
         "spread spectrum over the file index",
         "the position paper of Deng, Nakra and Wu (2026): DCT along the file's order, keyed signs, read by "
         "subtracting the original. Additive, where the paper's is multiplicative",
+        informed=True,
     ),
     "dct": FittedPictures(
         "DCT mark in renders, fitted",
@@ -27,15 +27,7 @@ METHODS: dict[str, Method] = {
     "rivagan": FittedPictures(
         "RivaGAN in renders, fitted",
         "the class HiDDeN+3DGS with a trained network: RivaGAN of invisible-watermark",
-        keyed=False,
         mark=RivaGan(),
     ),
 }
 """By short name; the first two mark models at once, the others need half a minute and more."""
-
-
-def find_method(name: str) -> Method:
-    """The method of that short name."""
-    if name not in METHODS:
-        raise InputError(f"no method is called {name!r}; there are {', '.join(METHODS)}")
-    return METHODS[name]

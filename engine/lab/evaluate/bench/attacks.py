@@ -13,49 +13,13 @@ from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.verify.search import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.formats import read_model
-from engine.lab.evaluate.marked_scene import MarkedScene, mark_copies, mark_scene
+from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.lab.evaluate.study import Row
-from engine.lab.sim.attack import Strength
 from engine.lab.sim.attacks import image_attack
-from engine.lab.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
+from engine.lab.sim.suite import Trial, apply_chain
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.raster import render
 
-MODEL_BARS: tuple[tuple[str, tuple[tuple[str, Strength], ...]], ...] = (
-    ("none", ()),
-    ("similarity x10 + shuffle", (("similarity", 10.0), ("shuffle", 1.0))),
-    ("mirrored", (("mirror", "x"),)),
-    ("clone 50 %", (("clone", 0.5),)),
-    ("prune random 20 %", (("prune_random", 0.2),)),
-    ("prune random 50 %", (("prune_random", 0.5),)),
-    ("prune random 90 %", (("prune_random", 0.9),)),
-    ("crop to 60 %", (("crop", 0.6),)),
-    ("crop to 25 %", (("crop", 0.25),)),
-    ("crop to 10 %", (("crop", 0.1),)),
-    ("noise 0.1 on all", (("noise_all", 0.1),)),
-    (".splat and back", (("convert", "splat"),)),
-    (".spz and back", (("convert", "spz"),)),
-    (".sog and back", (("convert", "sog"),)),
-    (".compressed.ply and back", (("convert", "compressed.ply"),)),
-    ("merged into another scene", (("merge_into", 3.0),)),
-    (
-        "crop 25 % + similarity + shuffle + noise 0.02",
-        (("crop", 0.25), ("similarity", 4.0), ("shuffle", 1.0), ("noise_all", 0.02)),
-    ),
-)
-"""The bars on models: name and chain of attacks."""
-IMAGE_BARS: tuple[tuple[str, str, Strength], ...] = (
-    ("JPEG 10", "jpeg", 10),
-    ("noise std 0.1", "noise_image", 0.1),
-    ("rotation 30 deg", "rotate_image", 30.0),
-    ("mirrored", "mirror_image", "left-right"),
-    ("scale 0.75", "scale_image", 0.75),
-    ("crop 40 % of the area", "crop_image", 0.4),
-    ("blur sigma 1", "blur", 1.0),
-    ("brightness 0.5", "brightness", 0.5),
-    ("brightness 1.5", "brightness", 1.5),
-)
-"""Label, attack and strength ("literal" readings)."""
 BITS = 32
 
 
@@ -186,16 +150,3 @@ def photograph(picture: Float32, rng: np.random.Generator) -> Float32:
     photo = cv2.warpPerspective(picture, matrix, size, flags=cv2.INTER_AREA, borderValue=room)
     photo = 0.9 * cv2.GaussianBlur(photo, (0, 0), 0.7) + 0.04 + rng.normal(0.0, 0.01, photo.shape)
     return image_attack("jpeg").apply(np.clip(photo, 0.0, 1.0).astype(np.float32), 85, rng=rng)
-
-
-def measure_suite(scene: str, seed: int, profile: str, other: str) -> list[Row]:
-    """`SUITE` with as many copies as its most numerous colluders need; failures first.
-
-    The other scene is merged into and framed by copy attacks; one of the same name is this very scene: without it
-    they are not run.
-    """
-    names = [f"buyer {number}" for number in range(1 + max(trial.copies for trial in SUITE))]
-    first, *copies = mark_copies(scene, named_profile(profile, landmark_views=0), names, bits=BITS, seed=seed)
-    another = None if Path(other).name == Path(scene).name else read_model(other).model
-    company = Company([copy.marked for copy in copies], another)
-    return failures_first(run_suite(first, SUITE, company=company, seed=seed))

@@ -1,4 +1,4 @@
-"""Truth: wrong keys, unmarked and foreign models, forged originals, and innocents among colluding buyers.
+"""Truth: wrong keys, forged originals, and innocents among colluding buyers.
 
 Extraction is informed: every suspect is read against the owner's records.
 """
@@ -21,7 +21,7 @@ from engine.flows.trace.copies import Copies
 from engine.flows.trace.tracing import count_copy_tries, judge_copy
 from engine.flows.verify.search import Answer, Suspect, VerifyConfig, count_tries, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.evaluate.bench.attacks import BITS, claim_row, random_view, to_8_bit
+from engine.lab.evaluate.bench.attacks import BITS, claim_row, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
 from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.evaluate.study import Row
@@ -48,14 +48,9 @@ BUYER, INNOCENT = "buyer", "innocent"
 
 
 def measure_truth(scenes: Sequence[str], seed: int, profile: str, keys: int) -> list[Row]:
-    """Wrong keys on every scene, every record against every other scene, and a forged original for each."""
+    """Wrong keys on every scene; the study `null` has other suspects."""
     marked = [mark_scene(path, named_profile(profile), seed=seed) for path in scenes]
-    found = {
-        "wrong keys": [row for scene in marked for row in wrong_key_rates(scene, keys, seed)],
-        "cross check": _cross_check(marked),
-        "forged original": [forge(scene, named_profile(profile)) for scene in marked],
-    }
-    return [{"check": kind, **row} for kind, rows in found.items() for row in rows]
+    return [row for scene in marked for row in wrong_key_rates(scene, keys, seed)]
 
 
 def wrong_key_rates(scene: MarkedScene, count: int, seed: int = 0) -> list[Row]:
@@ -85,21 +80,6 @@ def wrong_key_rates(scene: MarkedScene, count: int, seed: int = 0) -> list[Row]:
                 "measured": {f"{t:g}": float((bounds <= np.log10(t)).mean()) for t in THRESHOLDS},
             }
         )
-    return rows
-
-
-def _cross_check(scenes: Sequence[MarkedScene]) -> list[Row]:
-    """Every record against every unmarked model and every foreign-marked one, by model and by screenshot."""
-    rows = []
-    for scene in scenes:
-        suspects = [("unmarked " + other.name, other.original) for other in scenes]
-        suspects += [("foreign mark " + other.name, other.marked) for other in scenes if other is not scene]
-        for name, model in suspects:
-            result = verify_model(model, scene.opened, VerifyConfig())
-            rows.append({"record": scene.name, "route": "model", **claim_row(name, result)})
-            camera = random_view(model, np.random.default_rng(0), 800, 600)
-            result = verify_images([to_8_bit(render(model, camera))], scene.opened)
-            rows.append({"record": scene.name, "route": "image", **claim_row(name, result)})
     return rows
 
 

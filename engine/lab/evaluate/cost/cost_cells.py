@@ -1,16 +1,9 @@
-"""Cells of the cost study: scenes of any size, each in a process of its own, so that its peak memory is its own.
-
-What this machine can do at most is measured by McCalpin's triad (STREAM, 1995), bytes a second from memory, and by
-independent chains of fused multiply-adds in registers; both on the threads the rasterizer uses.
-"""
+"""Cells of the cost study: scenes of any size, each in a process of its own, so that its peak memory is its own."""
 
 import math
 import statistics
 import tempfile
 import time
-
-# mypy: allow-untyped-defs, allow-untyped-calls
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -22,8 +15,6 @@ from engine.flows.records.opened_record import open_record
 from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.formats import read_model, write_model
-from engine.kernels.jit import parallel_kernel, share_of
-from engine.kernels.thread_crew import thread_count
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.bench.raster import bench_raster
 from engine.lab.evaluate.bench.timing import in_own_process, seconds_of, stage_medians
@@ -33,69 +24,9 @@ from engine.lab.evaluate.study import Row
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.raster import render
-from engine.raster.lane_ir import LANES
-from engine.raster.lane_memory import aligned, load, store
-from engine.raster.lanes import fma
 from engine.watermark.rates import MADE_FIRST
 
-CHAINS = 12
-"""Chains a thread keeps in flight: more than latency (4 cycles) times ports (2)."""
-
-
-@parallel_kernel
-def _triad(a, b, c, scale, call):
-    for i in share_of(a.shape[0], call):
-        a[i] = b[i] + scale * c[i]
-
-
-@parallel_kernel
-def _multiply_add(out, rounds, call):
-    for worker in share_of(out.shape[0], call):
-        own = out[worker]
-        times, plus = load(own, 12 * 16), load(own, 13 * 16)
-        x0, x1, x2, x3 = load(own, 0), load(own, 16), load(own, 32), load(own, 48)
-        x4, x5, x6, x7 = load(own, 64), load(own, 80), load(own, 96), load(own, 112)
-        x8, x9, x10, x11 = load(own, 128), load(own, 144), load(own, 160), load(own, 176)
-        for _ in range(rounds):
-            x0, x1, x2 = fma(x0, times, plus), fma(x1, times, plus), fma(x2, times, plus)
-            x3, x4, x5 = fma(x3, times, plus), fma(x4, times, plus), fma(x5, times, plus)
-            x6, x7, x8 = fma(x6, times, plus), fma(x7, times, plus), fma(x8, times, plus)
-            x9, x10, x11 = fma(x9, times, plus), fma(x10, times, plus), fma(x11, times, plus)
-        store(own, 0, x0 + x1 + x2 + x3 + x4 + x5 + x6 + x7 + x8 + x9 + x10 + x11)
-
-
-def peak_bandwidth(numbers: int = 1 << 25, repeats: int = 5) -> float:
-    """Bytes a second of a = b + s c over three float32 arrays of `numbers`, best of `repeats`; 12 bytes a number."""
-    a, b, c = (np.full(numbers, value, dtype=np.float32) for value in (0.0, 1.0, 2.0))
-    return 12.0 * numbers / _least_seconds(lambda: _triad(a, b, c, np.float32(3.0)), repeats)
-
-
-def peak_flops(rounds: int = 1 << 22, repeats: int = 5) -> float:
-    """Single-precision operations a second of fused multiply-adds on sixteen lanes, each counted as two."""
-    out = aligned((thread_count(), (CHAINS + 2) * LANES))
-    out[:] = 0.5
-    operations = 2.0 * LANES * CHAINS * rounds * len(out)
-    return operations / _least_seconds(lambda: _multiply_add(out, rounds), repeats)
-
-
-def _least_seconds(work: Callable[[], object], repeats: int) -> float:
-    """Of several runs after one that compiles: other programs can only make it longer."""
-    times = []
-    for _ in range(repeats + 1):
-        began = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - began)
-    return min(times[1:])
-
-
 RASTER_SIZE = (1297, 840)
-FLOPS_PER_FRAGMENT = 32
-"""Of the forward kernel with three channels, a fused multiply-add counted as two: offsets 2, quadratic form 8, 2^q 13
-(range reduction 3, polynomial of degree 5), weight and transmittance 3, colours 6."""
-BYTES_PER_PAIR = 48
-"""Read once a Gaussian and tile: its number (4), record (32) and colour (12)."""
-BYTES_PER_PIXEL = 16
-"""Written: colour and alpha."""
 SPACING = 2.0
 """Between copies, in robust radii: neighbours touch and hide one another in part, as houses of a town do."""
 
@@ -181,35 +112,6 @@ def measure_formats(scene: str, formats: list[str]) -> list[Row]:
             row["write_s"] = time.perf_counter() - began
             rows.append({**row, "read_s": seconds_of(partial(read_model, path))})
     return rows
-
-
-def measure_roofline(scene: str, quick: bool) -> list[Row]:
-    """The forward kernel against what the machine can do."""
-    width, height = (320, 200) if quick else RASTER_SIZE
-    raster = bench_raster(read_model(scene).model, width, height, repeats=3 if quick else 9)
-    return [_roofline(raster, peak_bandwidth(1 << 21 if quick else 1 << 25), peak_flops(1 << 17 if quick else 1 << 22))]
-
-
-def _roofline(raster: Row, bandwidth: float, flops: float) -> Row:
-    seconds = raster["blend_ms"] / 1000.0
-    fragments = raster["fragments_per_second"] * seconds
-    operations = FLOPS_PER_FRAGMENT * fragments
-    moved = BYTES_PER_PAIR * raster["pairs"] + BYTES_PER_PIXEL * raster["width"] * raster["height"]
-    intensity = operations / moved
-    attainable = min(flops, intensity * bandwidth)
-    return {
-        "gaussians": raster["gaussians"],
-        "pairs": raster["pairs"],
-        "fragments": fragments,
-        "blend_ms": raster["blend_ms"],
-        "flops_per_byte": intensity,
-        "achieved_flops": operations / seconds,
-        "attainable_flops": attainable,
-        "peak_flops": flops,
-        "peak_bytes": bandwidth,
-        "fraction": operations / seconds / attainable,
-        "threads": raster["threads"],
-    }
 
 
 def sized(model: GaussianModel, count: int, seed: int = 0) -> GaussianModel:

@@ -1,17 +1,16 @@
-"""Figures of cost: growth on log-log axes, the roofline, bytes by format.
+"""Figures of cost: growth on log-log axes, bytes by format.
 
 A cost grows as c * size^k, fitted on logarithms.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import cycle
 
 import numpy as np
 from scipy.stats import linregress, t
 
-from engine.lab.evaluate.figures import FAINT, INK, Figure, figure, styles
+from engine.lab.evaluate.figures import Figure, figure, styles
 from engine.lab.evaluate.study import Row
 
 
@@ -65,36 +64,6 @@ def draw_growth(curves: Mapping[str, Curve], x_label: str, y_label: str, title: 
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set(xlabel=x_label, ylabel=y_label, title=title)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return drawn
-
-
-def draw_roofline(rows: Sequence[Row]) -> Figure:
-    """Operations a second over operations a byte, under what the machine can do."""
-    drawn, axes = figure(width=6.4, height=3.8)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    peak, bandwidth = max(row["peak_flops"] for row in rows), max(row["peak_bytes"] for row in rows)
-    ridge = peak / bandwidth
-    x = np.geomspace(min(1.0, ridge / 4), max(200.0, 4 * ridge), 100)
-    axes.plot(x, np.minimum(peak, x * bandwidth) / 1e9, color=INK)
-    note = partial(axes.annotate, textcoords="offset points", fontsize=8, color=INK)
-    left = 1.3 * x[0]
-    note(f"{bandwidth / 1e9:.0f} GB/s", (left, left * bandwidth / 1e9), xytext=(0, -14))
-    note(f"{peak / 1e9:.0f} GFLOP/s", (x[-1], peak / 1e9), xytext=(0, 4), ha="right")
-    for row, style in zip(rows, styles(), strict=False):
-        at, achieved, attainable = row["flops_per_byte"], row["achieved_flops"] / 1e9, row["attainable_flops"] / 1e9
-        axes.plot([at, at], [achieved, attainable], color=FAINT, linestyle=":", linewidth=1.0)
-        label = f"{row['scene']}: {achieved:.0f} GFLOP/s, {100 * row['fraction']:.0f} % of attainable"
-        axes.plot(at, achieved, **{**style, "linestyle": "none"}, markersize=7, label=label)
-    by_arithmetic = all(row["flops_per_byte"] > ridge for row in rows)
-    axes.set(
-        xlabel="operations a byte of memory traffic (log scale)",
-        ylabel="GFLOP/s (log scale)",
-        title="The forward kernel is bound by arithmetic, not by memory"
-        if by_arithmetic
-        else "The forward kernel under the machine's roof",
-    )
-    axes.legend(loc="lower right")
     return drawn
 
 

@@ -1,4 +1,4 @@
-"""The study `cost`: how time and memory grow, how near the kernels come to the machine, what storage takes.
+"""The study `cost`: how time and memory grow, what storage takes.
 
 On two cores the full study takes about 15 minutes a scene of 100,000 Gaussians and needs 13 GB for its largest
 size; the quick version less than half a minute.
@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from engine.lab.evaluate.cost.cost_charts import Curve, Growth, draw_formats, draw_growth, draw_roofline, fit_growth
+from engine.lab.evaluate.cost.cost_charts import Curve, Growth, draw_formats, draw_growth, fit_growth
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import busy_words, picked, table
 
@@ -68,7 +68,6 @@ def _of_scene(number: int, scene: str, options: Options) -> list[Cell]:
         add("pixels", size, view_size=size, raster_size=[size, size], **{"landmarks": 0, **thinned})
     formats = ["splat", "sog"] if quick else list(FORMATS)
     measured("formats", "measure_formats", formats=formats)
-    measured("roofline", "measure_roofline", quick=quick)
     return cells
 
 
@@ -87,8 +86,7 @@ def _report(rows: list[Row], options: Options) -> Report:
         summary[scene] = exponents
         bars += _bars(scene, own)
     formats = [row for row in rows if "format" in row]
-    roofs = [row for row in rows if "peak_flops" in row]
-    sections += [_roofline_section(roofs), _formats_section(formats)]
+    sections.append(_formats_section(formats))
     answer = [*(_answer(scene, said) for scene, said in summary.items()), *busy_words(rows)]
     return Report(bars, sections, answer, {"exponents": summary})
 
@@ -165,36 +163,6 @@ def _bars(scene: str, own: Sequence[Row]) -> list[Bar]:
     return bars
 
 
-def _roofline_section(rows: Sequence[Row]) -> Section:
-    shown = table(
-        rows,
-        "scene",
-        "pairs",
-        "fragments",
-        ("blend ms", "blend_ms"),
-        ("operations a byte", "flops_per_byte"),
-        ("GFLOP/s", lambda row: row["achieved_flops"] / 1e9),
-        ("attainable GFLOP/s", lambda row: row["attainable_flops"] / 1e9),
-        "fraction",
-        ("peak GFLOP/s", lambda row: row["peak_flops"] / 1e9),
-        ("peak GB/s", lambda row: row["peak_bytes"] / 1e9),
-        "threads",
-    )
-    return Section(
-        "The forward kernel under the machine's roof",
-        [
-            "Work: 32 operations for each pixel and Gaussian that the kernel evaluated (offsets 2, quadratic form 8, "
-            "power of two 13, weight 3, three colours 6; a fused multiply-add is two, comparisons and integer steps "
-            "none). Traffic: 48 bytes for each pair of tile and Gaussian (number, record, colour) and 16 for each "
-            "pixel: an upper bound, as tiles end early and neighbours share records in the caches, so the fraction is "
-            "one too. The roof: a stream triad and chains of fused multiply-adds in sixteen lanes, measured in the "
-            "same process, best of five."
-        ],
-        [shown],
-        [Drawing("roofline", partial(draw_roofline, rows), "Achieved against attainable operations a second.")],
-    )
-
-
 def _formats_section(rows: Sequence[Row]) -> Section:
     shown = table(
         rows,
@@ -214,10 +182,4 @@ def _formats_section(rows: Sequence[Row]) -> Section:
     )
 
 
-STUDY = Study(
-    "cost",
-    "What it costs",
-    "How do time and memory grow with Gaussians, views and pixels, and how far are the kernels from the machine?",
-    _cells,
-    _report,
-)
+STUDY = Study("cost", "What it costs", "How do time and memory grow with Gaussians, views and pixels?", _cells, _report)

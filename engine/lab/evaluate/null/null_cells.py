@@ -1,10 +1,9 @@
 """What is tried: suspects that no key without a part in them may claim, counterexamples, and thin evidence.
 
-Suspects are marked by others, unmarked, or made to deceive. Without the counterexamples (a detector and an oracle that
-break the bound, forged originals) a test of false claims that never fails would prove nothing.
+Suspects are marked by others, unmarked, or made to deceive. Without the counterexamples (a detector that
+breaks the bound, forged originals) a test of false claims that never fails would prove nothing.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from pathlib import Path
@@ -35,7 +34,6 @@ from engine.watermark.statistics import claim_z, z_threshold
 
 __all__ = [
     "FOUND",
-    "ask_oracle",
     "few_gaussians",
     "few_pictures",
     "forge_original",
@@ -55,7 +53,6 @@ FOUND = {
 LOUD = 40
 """Code vectors that drown all others in one of the crafted suspects."""
 
-QUERIES = (5, 10, 20, 50, 100, 200, 500, 1_000)
 SIDE, NOISE = 128, 0.2
 """Pixels and noise of a picture bad enough that one of them proves nothing."""
 WRONG = 20_000
@@ -187,36 +184,6 @@ def rebuild_reference(path: str, keys: int, quick: bool, seed: int) -> list[Row]
 def forge_original(path: str, quick: bool, seed: int) -> list[Row]:
     """A thief's "original" (marked model minus a mark of his), registered and claimed by the right program."""
     return [{"what": "forged", **forge(fast_mark(path, quick, seed), fast_config(quick))}]
-
-
-def ask_oracle(path: str, repeats: int, quick: bool, seed: int) -> list[Row]:
-    """Frame the owner by asking his detector about patterns, and adding up those it likes.
-
-    The attacker is given the code vectors. A detector that tells z leaks its chips: the sum of patterns, each times
-    its z, grows by the square root of the questions. One that says only whether the mark is there says the same of
-    every pattern, and so nothing. (The holder of a marked copy can still walk along the edge of the verdict.)
-    """
-    opened = fast_mark(path, quick, seed).opened
-    secret = (opened.spreading.chips * opened.message[opened.spreading.bit_of]).astype(np.float64)
-    threshold = z_threshold(1e-9)
-    rows = []
-    for repeat in range(repeats):
-        rng = np.random.default_rng((seed, repeat, 0x04AC1E))
-        by_z, by_verdict = np.zeros(len(secret)), np.zeros(len(secret))
-        for count in range(1, QUERIES[-1] + 1):
-            pattern = 2.0 * rng.integers(0, 2, len(secret), dtype=np.int8) - 1.0
-            z = float(pattern @ secret) / math.sqrt(len(secret))
-            by_z += z * pattern
-            by_verdict += float(z >= threshold) * pattern
-            if count in QUERIES:
-                z_after = {"z_told_z": _z(by_z, secret), "z_told_verdict": _z(by_verdict, secret)}
-                rows.append({"what": "oracle", "queries": count, "repeat": repeat, **z_after, "z_threshold": threshold})
-    return rows
-
-
-def _z(evidence: Float64, secret: Float64) -> float:
-    norm = float(np.linalg.norm(evidence))
-    return float(evidence @ secret) / norm if norm > 0 else 0.0
 
 
 def _wrong(y: Float64, weights: Float64, *stream: object) -> Row:

@@ -1,8 +1,8 @@
 """Suite 4: calibration. Does the measured rate of false claims keep below the stated bound, whatever is tried?
 
 Full: about 20 suspects with a million wrong keys each, 10,000 other recipients, power from thinned models and from
-bad pictures, a detector that must fail, forged originals, an oracle, and the search for the mark in the numbers of the
-file: about 10 minutes a scene of 100k Gaussians on 2 cores. Quick: the same with 100,000 keys, few trials, small views.
+bad pictures, a detector that must fail, and forged originals: about 10 minutes a scene of 100k Gaussians on 2
+cores. Quick: the same with 100,000 keys, few trials, small views.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,13 +14,13 @@ from scipy.stats import norm
 
 from engine.lab.evaluate.figures import FAINT, INK, Figure, figure, label_line, spread_curve, styles
 from engine.lab.evaluate.intervals import share_interval
-from engine.lab.evaluate.null import detectability, null_cells
+from engine.lab.evaluate.null import null_cells
 from engine.lab.evaluate.null.null_rates import CLAIM, LOG10_THRESHOLDS, Rates, add_up, exceeding, share_claimed
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import distinct, grouped, listed, picked, table
 from engine.watermark.statistics import z_threshold
 
-__all__ = ["STUDY", "draw_detectability", "draw_false_claims", "draw_oracle", "draw_power", "draw_roc"]
+__all__ = ["STUDY", "draw_false_claims", "draw_power", "draw_roc"]
 
 SHARES = (0.1, 0.03, 0.01, 0.003, 0.001, 0.0005, 0.00025)
 PICTURES = (1, 2, 4, 8, 16)
@@ -31,7 +31,6 @@ GROUPS = {
     "copies": "other recipients, real keys",
     "other scene": "other scenes",
 }
-SIGNIFICANT = 0.05
 
 
 def cells(options: Options) -> list[Cell]:
@@ -43,7 +42,6 @@ def _of_scene(number: int, path: str, options: Options) -> list[Cell]:
     quick, made = options.quick, list[Cell]()
     keys = 100_000 if quick else 1_000_000
     shares, counts = list(SHARES[2:5] if quick else SHARES), list(PICTURES[:2] if quick else PICTURES)
-    samples = {"samples": 60, "draws": 19, "keys": 1} if quick else {"samples": 400, "draws": 199, "keys": 2}
 
     def add(name: str, work: Callable[..., list[Row]], /, **arguments: Any) -> None:
         made.append(Cell.of(f"{number}-{name}", work, path=path, quick=quick, seed=options.seed, **arguments))
@@ -54,19 +52,17 @@ def _of_scene(number: int, path: str, options: Options) -> list[Cell]:
     add("copies", null_cells.try_copies, copies=200 if quick else 10_000)
     add("wrong-detector", null_cells.rebuild_reference, keys=5 if quick else 100)
     add("forged", null_cells.forge_original)
-    add("oracle", null_cells.ask_oracle, repeats=1 if quick else 10)
     add("gaussians", null_cells.few_gaussians, shares=shares, trials=2 if quick else 20)
     add("pictures", null_cells.few_pictures, counts=counts, draws=20 if quick else 200)
-    add("attributes", detectability.compare_attributes, **samples)
     if len(options.scenes) > 1:
         add("pair", null_cells.try_pairs, other=options.scenes[(number + 1) % len(options.scenes)])
     return made
 
 
 def report(rows: list[Row], options: Options) -> Report:
-    """Bars on false claims first, then the counts, the counterexamples, the power, and the search for the mark."""
+    """Bars on false claims first, then the counts, the counterexamples and the power."""
     tried, forged, wrong = (picked(rows, what=what) for what in ("null", "forged", "wrong detector"))
-    power, oracle, seen = (picked(rows, what=what) for what in ("power", "oracle", "detectability"))
+    power = picked(rows, what="power")
     rates, largest = add_up(tried, "all"), max(row["z_largest"] for row in tried)
     answer = (
         f"{rates.keys:,} keys, unrelated to the suspects they were tested on, made {rates.hits[-1]} claims at 1e-9; "
@@ -74,8 +70,8 @@ def report(rows: list[Row], options: Options) -> Report:
     )
     measured = zip(LOG10_THRESHOLDS, rates.shares, strict=True)
     return Report(
-        [*_null_bars(tried, forged, rates), _counter_bar(wrong), _detect_bar(seen)],
-        [_null_section(tried, wrong, forged), _power_section(power), _oracle_section(oracle), _detect_section(seen)],
+        [*_null_bars(tried, forged, rates), _counter_bar(wrong)],
+        [_null_section(tried, wrong, forged), _power_section(power)],
         answer=[answer],
         summary={
             "wrong_keys": rates.keys,
@@ -116,24 +112,6 @@ def _counter_bar(wrong: Sequence[Row]) -> Bar:
         "claims by wrong keys",
         f"{claims} of {keys} wrong keys claim, least z {least:.0f}",
         claims > 0 if wrong else None,
-    )
-
-
-def _least_p(seen: Sequence[Row]) -> tuple[float, int]:
-    """Of the comparisons with a marked model; and their number."""
-    marked = picked(seen, against="marked")
-    return min((row["p"] for row in marked), default=1.0), len(marked)
-
-
-def _detect_bar(seen: Sequence[Row]) -> Bar:
-    least, tests = _least_p(seen)
-    blatant = picked(seen, against="marked 20 times as strongly")
-    level, strong = SIGNIFICANT / max(tests, 1), sum(row["p"] <= SIGNIFICANT for row in blatant)
-    return Bar(
-        "distributions of a marked file's numbers: Sinkhorn divergence within chance",
-        f"p > {level:.3g} (0.05 over {tests} tests)",
-        f"smallest p {least:.3g}; a mark 20 times as strong: p <= 0.05 in {strong} of {len(blatant)}",
-        least > level if tests else None,
     )
 
 
@@ -243,48 +221,6 @@ def _enough(rows: Sequence[Row], what: str) -> str:
     return f"more than {amounts[-1]:,} {what}" if amounts else f"no {what} measured"
 
 
-def _oracle_section(oracle: Sequence[Row]) -> Section:
-    enough = [row["queries"] for row in oracle if row["z_told_z"] >= row["z_threshold"]]
-    verdicts = max((row["z_told_verdict"] for row in oracle), default=0.0)
-    after = f"after {min(enough)} questions" if enough else "after no number of questions tried"
-    text = (
-        "The bound holds for keys unrelated to the suspect. A detector that answers strangers breaks this: given z, "
-        f"and even the code vectors, a stranger frames the owner {after}. Given the verdict alone he learns nothing "
-        f"this way (largest z {verdicts:.1f}); with a marked copy he could still walk along the edge of the verdict, "
-        "which was not tried. This is why z belongs to the owner, and why the service answers others coarsely and "
-        "counts their queries."
-    )
-    title = f"An oracle that reveals z is enough to frame its owner {after}"
-    drawing = Drawing("oracle", partial(draw_oracle, oracle, title), "z of the sum of liked patterns.")
-    return Section("What the owner's own answers give away", [text], [], [drawing])
-
-
-def _detect_section(seen: Sequence[Row]) -> Section:
-    text = (
-        "Two disjoint random samples of one scene's Gaussians, compared by Sinkhorn divergence (entropy a "
-        "tenth of the median cost, attributes in standard deviations); p is the share of random divisions of the joint "
-        "sample at least as far apart. Samples of a few hundred see what stands out, not what millions of values "
-        "together might; the learned detector of the study steganalysis looks further."
-    )
-    least, tests = _least_p(seen)
-    title = f"In the numbers of the file the mark is within chance (smallest p {least:.2f})"
-    if least <= SIGNIFICANT / max(tests, 1):
-        title = f"The numbers of the file betray the mark (p {least:.3f})"
-    shown = table(
-        seen,
-        "scene",
-        "key",
-        ("attributes", "features"),
-        ("unmarked sample against", "against"),
-        ("divergence", "distance"),
-        ("median of chance", "null_median"),
-        ("largest of chance", "null_highest"),
-        "p",
-    )
-    drawing = Drawing("detectability", partial(draw_detectability, seen, title), "Each point is one key and scene.")
-    return Section("Can the mark be seen in the file's numbers?", [text], [shown], [drawing])
-
-
 STUDY = Study(
     "null",
     "Truth: measured false claims against the proven bound",
@@ -352,43 +288,4 @@ def draw_power(gaussians: Sequence[Row], pictures: Sequence[Row], title: str) ->
         axis.minorticks_off()
     axes[0].set_ylabel("share claimed at 1e-9, 95 %")
     axes[0].legend(fontsize=7.0)
-    return drawn
-
-
-def draw_detectability(rows: Sequence[Row], title: str) -> Figure:
-    """Sinkhorn divergence of each comparison as a multiple of the chance level's median."""
-    names = distinct(rows, "features", "against")
-    drawn, axes = figure(width=6.8, height=0.9 + 0.42 * max(len(names), 2), title=title)
-    for style, (scene, own) in zip(styles(), grouped(rows, "scene").items(), strict=False):
-        far = [max(row["distance"] / row["null_median"], 0.1) for row in own]
-        places = [names.index((row["features"], row["against"])) for row in own]
-        axes.plot(far, places, label=scene, **{**style, "linestyle": "none"})
-    for number, own in enumerate(grouped(rows, "features", "against").values()):
-        highest = max(row["null_highest"] / row["null_median"] for row in own)
-        label = "as far as chance reached" if number == 0 else None
-        axes.barh(number, highest - 0.1, left=0.1, height=0.5, color="#e2e2e2", zorder=0, label=label)
-    axes.set_yticks(range(len(names)), [f"{features}: {against}" for features, against in names])
-    end = 1.5 * max(3.0, *(row["distance"] / row["null_median"] for row in rows))
-    axes.set(ylim=(-0.5, len(names) - 0.5), xscale="log", xlim=(0.1, end))
-    axes.set_xticks([tick for tick in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0) if tick < end])
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.minorticks_off()
-    axes.set_xlabel("Sinkhorn divergence, in medians of chance")
-    drawn.legend(fontsize=7.0, loc="outside lower center", ncols=4)
-    return drawn
-
-
-def draw_oracle(rows: Sequence[Row], title: str) -> Figure:
-    """z of a forged pattern against the number of queries."""
-    drawn, axes = figure(height=3.4)
-    queries = sorted(distinct(rows, "queries"))
-    series = (("z_told_z", "z is revealed"), ("z_told_verdict", "the verdict alone is revealed"))
-    for style, (field, label) in zip(styles(), series, strict=False):
-        z = [[row[field] for row in picked(rows, queries=count)] for count in queries]
-        mean, low, high = ([of(own) for own in z] for of in (np.mean, min, max))
-        spread_curve(axes, queries, mean, low, high, thin=1.6, label=label, **style)
-    label_line(axes, rows[0]["z_threshold"], "claim at 1e-9")
-    axes.set(xscale="log", xlabel="questions to the owner's detector", title=title)
-    axes.set_ylabel("z of the forged pattern, mean and range")
-    axes.legend(fontsize=7.0, loc="upper left")
     return drawn

@@ -24,7 +24,7 @@ from engine.lab.sim.adversaries.collusion import NEED_COPIES
 from engine.lab.sim.attack import Label, Strength
 from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
-from engine.lab.sim.suite import Company, Trial, apply_chain
+from engine.lab.sim.suite import Trial, apply_chain
 from engine.model import Camera, Float32, GaussianModel
 
 __all__ = ["Sweep", "all_sweeps", "branches", "picture_at_key_view", "sweep", "thinned"]
@@ -130,8 +130,8 @@ def sweep(
         row |= {"strength": strength, "step": step, "trial": number, "key": seed + number}
         rows.append(row)
         copies = tuple(other.marked for other in scenes if other is not scene) if attack in NEED_COPIES else ()
-        trial = Trial(attack, ((attack, strength),), "", kind, reading, len(copies))
-        hurt = partial(apply_chain, trial=trial, seed=number, company=Company(copies))
+        trial = Trial(attack, ((attack, strength),), "", kind, reading)
+        hurt = partial(apply_chain, trial=trial, seed=number, others=copies)
         camera, picture = picture_at_key_view(scene, number)
         try:
             suspect = hurt(picture if kind == "image" else scene.marked)

@@ -24,7 +24,7 @@ from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.lab.evaluate.baselines.methods import find_method
+from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.intervals import area, area_interval
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.evaluate.study import Row
@@ -103,7 +103,7 @@ def _copies(path: str, profile_name: str, form: str, keys: int, seed: int, metho
         if method == "ours":
             return embed(base, key, original_sha256=loaded.sha256, bits=BITS, config=config).model
         message = derive_message(key, BITS, loaded.sha256.encode())
-        return find_method(method).embed(base, key, message, config.psnr_db, cameras)[0]
+        return METHODS[method].embed(base, key, message, config.psnr_db, cameras)[0]
 
     def features(model: GaussianModel) -> Float64:
         if form == "own format":

@@ -200,7 +200,7 @@ def _steps(rows: list[Row]) -> Iterator[Line]:
 HEADINGS = "| what | the paper | its system, run by us | ours |\n|---|---|---|---|"
 MISSED = "| table | what | the paper | {} |\n|---|---|---|---|"
 ELSEWHERE = """- Figure 4 shows pictures, no numbers: docs/demo.png and the pages of `mark3dgs demo`.
-- Figure 5 (steganalysis) is the suite `steganalysis`, the other methods' curves are `baselines`.
+- Figure 5 (steganalysis) is the suite `steganalysis`, other methods are read in `benchmark`.
 - Table 4 by the paper's system: it changes which Gaussians there are, and moving and codebook models do not allow that.
 - The other systems' numbers stand in the report of this suite; they are published ones, on other scenes."""
 

@@ -1,4 +1,4 @@
-"""Growth, sizes and the roofline with known answers."""
+"""Growth and sizes with known answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from engine.flows.views.camera_rig import measure_extent
 from engine.formats import read_model
-from engine.lab.evaluate.cost.cost_cells import _roofline, peak_bandwidth, peak_flops, sized
+from engine.lab.evaluate.cost.cost_cells import sized
 from engine.lab.evaluate.cost.cost_charts import fit_growth
 
 PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
@@ -54,26 +54,3 @@ def test_scenes_of_any_size() -> None:
     widths = [np.ptp(large.means[k * count : (k + 1) * count, 1]) for k in range(2)]
     assert widths[0] == pytest.approx(widths[1], rel=1e-4)
     assert (sized(model, 3_000).means == large.means).all()
-
-
-def test_the_machine_has_peaks() -> None:
-    assert 1e8 < peak_bandwidth(1 << 18, 2) < 1e13
-    assert 1e8 < peak_flops(1 << 14, 2) < 1e14
-
-
-def test_roofline_arithmetic() -> None:
-    raster = {
-        "blend_ms": 10.0,
-        "fragments_per_second": 1e8,
-        "pairs": 1_000,
-        "width": 100,
-        "height": 100,
-        "gaussians": 5,
-        "threads": 2,
-    }
-    output = _roofline(raster, bandwidth=1e9, flops=1e12)
-    moved = 48 * 1_000 + 16 * 10_000
-    assert output["flops_per_byte"] == pytest.approx(32 * 1e6 / moved)
-    assert output["achieved_flops"] == pytest.approx(3.2e9)
-    assert output["attainable_flops"] == pytest.approx(1e9 * 32 * 1e6 / moved)
-    assert output["fraction"] == pytest.approx(3.2e9 / output["attainable_flops"])

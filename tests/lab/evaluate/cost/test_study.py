@@ -30,7 +30,7 @@ def test_a_quick_run_measures_every_axis(scene: str, tmp_path: Path) -> None:
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")
     said = write_report(STUDY, rows, options, tmp_path)
     drawn = {Path(name).stem for name in said["figures"]}
-    assert drawn == {"growth-gaussians-thin", "growth-views-thin", "growth-pixels-thin", "roofline", "formats"}
+    assert drawn == {"growth-gaussians-thin", "growth-views-thin", "growth-pixels-thin", "formats"}
     exponents = said["summary"]["exponents"]["thin.ply"]
     assert set(exponents) == {"gaussians", "views", "pixels"}
     sized = [row for row in rows if row.get("axis") == "gaussians"]

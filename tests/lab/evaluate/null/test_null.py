@@ -43,9 +43,6 @@ def test_quick_run(tmp_path: Path) -> None:
     assert said["summary"]["largest_z"] < 6.0
     wrong = next(row for row in rows if row["what"] == "wrong detector")
     assert wrong["claims"] == wrong["keys"] > 0
-    wanted = [row for row in rows if row["what"] == "oracle"]
-    assert max(row["z_told_z"] for row in wanted) > 20
-    assert max(row["z_told_verdict"] for row in wanted) == 0.0
     assert {"figures/false-claims.png", "figures/roc.svg", "figures/power.png"} <= set(said["figures"])
 
 

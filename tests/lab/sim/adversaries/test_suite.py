@@ -1,21 +1,17 @@
-"""What attacks cost, and the suite that runs and judges them."""
+"""What attacks cost, and the chains of them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.flows.verify.search import VerifyConfig
-from engine.lab.sim.adversaries.collusion import NEED_COPIES
 from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import find_attack, model_attack
-from engine.lab.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
+from engine.lab.sim.suite import SUITE, Trial, apply_chain
 from engine.model import GaussianModel
-from tests.lab.sim.adversaries.conftest import Marked
 
 
 def test_nothing_costs_nothing_and_moving_costs_nothing(model: GaussianModel) -> None:
@@ -53,7 +49,7 @@ def test_cost_of_a_picture_is_its_psnr(image: np.ndarray) -> None:
 
 def test_the_suite_is_sound_data() -> None:
     labels = [trial.label for trial in SUITE]
-    assert len(set(labels)) == len(labels) > 90
+    assert len(set(labels)) == len(labels) > 60
     for trial in SUITE:
         for name, strength in trial.chain:
             attack = find_attack(name)
@@ -61,7 +57,6 @@ def test_the_suite_is_sound_data() -> None:
             assert isinstance(strength, str) == isinstance(attack.default, str)
         if trial.reading == "as_code":
             assert any(len(find_attack(name).readings) == 2 for name, _ in trial.chain)
-        assert trial.copies == 0 or trial.chain[0][0] in NEED_COPIES
 
 
 def test_every_step_of_a_chain_is_taken_in_its_reading(model: GaussianModel) -> None:
@@ -72,45 +67,3 @@ def test_every_step_of_a_chain_is_taken_in_its_reading(model: GaussianModel) -> 
     np.testing.assert_array_equal(out.sh, by_hand.sh)
     kept = apply_chain(model, trial, 7, skip=("crop",))
     assert len(kept) == 500
-
-
-def test_rows_say_what_held_what_broke_and_what_it_cost(scene: Marked, model: GaussianModel) -> None:
-    trials = [
-        Trial("untouched", (), ""),
-        Trial("nothing left", (("prune_random", 0.9995),), ""),
-        Trial("three copies", (("collude", "mean"),), "", copies=2),
-        Trial("ten copies", (("collude", "mean"),), "", copies=9),
-        Trial("merged", (("merge_into", 0.1),), ""),
-        Trial("JPEG 50", (("jpeg", 50),), "", "image"),
-    ]
-    done: list[float] = []
-    rows = run_suite(
-        scene, trials, company=Company(scene.copies, model), config=VerifyConfig(), pictures=1, advance=done.append
-    )
-    outcome = {row["attack"]: row["outcome"] for row in rows}
-    assert outcome == {
-        "untouched": "held",
-        "nothing left": "ruined",
-        "three copies": "held",
-        "ten copies": "not run: needs 9 further copies, there are 2",
-        "merged": "held",
-        "JPEG 50": "held",
-    }
-    by_label = {row["attack"]: row for row in rows}
-    assert by_label["untouched"]["psnr"] == math.inf
-    assert by_label["merged"]["psnr"] == math.inf  # the foreign scene is no damage
-    assert (
-        by_label["three copies"]["z"] > by_label["untouched"]["z"]
-    )  # what copies share stays, what they differ in not
-    assert done[-1] == 1.0
-    assert failures_first(rows)[0]["attack"] == "nothing left"
-
-
-def test_a_mark_that_is_gone_while_the_look_stays_is_called_removed(scene: Marked) -> None:
-    """The owner's own original in the thief's hands: no claim, and it looks the same."""
-    stolen = replace(scene, marked=scene.original)
-    row = run_suite(stolen, [Trial("clean", (("noise_dc", 0.001),), "")])[0]
-    assert (row["outcome"], row["verdict"]) == ("removed", "not_marked")
-    assert failures_first([{"outcome": "held", "z": 1.0}, row])[0] is row
-    with pytest.raises(InputError, match="key views"):
-        run_suite(scene, [], pictures=0)
