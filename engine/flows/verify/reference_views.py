@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.views.camera_rig import measure_extent
 from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
@@ -18,24 +18,45 @@ from engine.pictures.alignment.color_change import Alike, ColorChange, Misfit, N
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import ViewerTone, find_viewer_tone
 from engine.raster import RasterSettings, View, draw, prepare_view, sh_colors
-from engine.watermark.grain import ATTRIBUTES, roughen
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
+from engine.watermark.layout import Layout
 from engine.watermark.spreading import public_signs
 from engine.watermark.unpredictability import public_misfit
 
-__all__ = ["ReferenceView", "ReferenceViews", "seen_shift"]
+__all__ = ["MarkedReference", "ReferenceView", "ReferenceViews", "seen_shift"]
 
 OPAQUE = CONFIG.color_change.opaque
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
 """How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
 
 
+class MarkedReference(Protocol):
+    """What of a record is seen: `OpenedRecord`, or a mark that is only planned."""
+
+    @property
+    def reference(self) -> GaussianModel:
+        """Unmarked."""
+
+    @property
+    def layout(self) -> Layout:
+        """Of the tint, with its amplitudes."""
+
+    @property
+    def grain(self) -> Grain:
+        """Amplitudes of the second layer."""
+
+    @property
+    def strength(self) -> float:
+        """Factor from these amplitudes to embedded displacements."""
+
+
 class ReferenceViews:
     """A record's reference, and one with a mark of public signs, to be seen from many cameras; both with their colors
     changed, where the suspect's were."""
 
-    def __init__(self, opened: OpenedRecord, change: ColorChange | None = None) -> None:
+    def __init__(self, opened: MarkedReference, change: ColorChange | None = None) -> None:
         model, layout, grain = opened.reference, opened.layout, opened.grain
         self.opened = opened
         self.change = change
