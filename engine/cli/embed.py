@@ -267,9 +267,12 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
         "time": f"{report.seconds:.1f} s: {stages}",
     }
     if (choice := made.choice) is not None:
-        shown = f"predicted z of one own render at JPEG 10 {choice.predicted_z:.1f}, required {choice.wanted_z:.1f}"
-        lines["chosen"] = f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: " + (
-            shown if choice.wanted_z else "pictures were not tried"
+        of = {"pictures": "one own render at JPEG 10", "worst": "the worst own render, at JPEG 10 or in noise of 0.1"}
+        shown, reached = of.get(choice.survive), "" if choice.met else ", which is not reached"
+        said = f"predicted z of {shown} {choice.predicted_z:.1f}, required {choice.wanted_z:.1f}{reached}"
+        lines["chosen"] = (
+            f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: "
+            f"{said if shown else 'no picture was tried'}"
         )
         if choice.spent is not None:
             lines["allowed"] = _spending(choice.spent)

@@ -54,8 +54,7 @@ class EmbedRequest(RequestBody):
         description="auto: no more than the scene needs; speed against accuracy; the others: the paper's system.",
     )
     survive: Literal["model", "pictures", "worst"] | None = Field(
-        None,
-        description="auto: what must show the mark: one JPEG-10 picture (default), the worst one, models alone.",
+        None, description="auto: what must show the mark: one JPEG-10 picture (default), the worst one, models alone."
     )
     psnr: float | None = Field(
         None, ge=20, le=90, description="Least PSNR of the mark, dB (47); above the profile's: scope `originals`."

@@ -83,7 +83,7 @@ def test_the_next_smallest_where_the_smallest_shows_too_little(
 
     def at(self: Rehearsing, settled: object, least_db: float = 0.0) -> Rehearsal:
         read.append(self.draft.delivery.model.sh_degree)
-        return Rehearsal(5.0 if self.draft.delivery.model.sh_degree == 0 else 50.0, 47.0)
+        return Rehearsal(5.0 if self.draft.delivery.model.sh_degree == 0 else 50.0, 47.0, 9.0)
 
     monkeypatch.setattr(Rehearsing, "at", at)
     found = chosen(rough, asked())
@@ -97,7 +97,9 @@ def test_the_next_smallest_where_the_smallest_shows_too_little(
 def test_kept_whole_where_no_smaller_file_does(rough: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = len(rough)
     monkeypatch.setattr(
-        Rehearsing, "at", lambda self, *_: Rehearsal(50.0 if len(self.draft.delivery.model) == whole else 5.0, 47.0)
+        Rehearsing,
+        "at",
+        lambda self, *_: Rehearsal(50.0 if len(self.draft.delivery.model) == whole else 5.0, 47.0, 9.0),
     )
     found = chosen(rough, asked())
     assert found.spent is not None
@@ -110,7 +112,7 @@ def test_where_evidence_is_short_a_tenth_of_it_may_go(rough: GaussianModel, monk
         monkeypatch.setattr(
             Rehearsing,
             "at",
-            lambda self, *_, left=left: Rehearsal(5.0 if len(self.draft.delivery.model) == whole else left, 47.0),
+            lambda self, *_, left=left: Rehearsal(5.0 if len(self.draft.delivery.model) == whole else left, 47.0, 9.0),
         )
         spent = chosen(rough, asked()).spent
         assert spent is not None

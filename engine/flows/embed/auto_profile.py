@@ -13,7 +13,7 @@ measured.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.variant import PLAIN, Variant
 from engine.flows.progress import Clock
+from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
 from engine.formats import encode_model
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
@@ -53,10 +54,11 @@ PUBLIC_KEY = OwnerKey(hashlib.sha256(b"mark3dgs rehearsal: a key that everybody 
 class Rehearsal:
     """What a scene promises under some settings."""
 
-    # Of the claim from one bad picture of an unseen view, JPEG quality 10: the mean of several. Where the worst is to
-    # be survived, the least of them, and under noise of std 0.1; 0 where the mark was not read
+    # Of the claim from one bad picture of an unseen view. Where the worst is to be survived, the least of several, and
+    # under noise of std 0.1, too; else `usual_z`
     predicted_z: float
     held_out_db: float  # of the mark, worst of those views
+    usual_z: float  # at JPEG quality 10, mean of several; 0 where the mark was not read
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,6 @@ class Rehearsing:
 
     def at(self, settled: Settled, least_db: float = 0.0) -> Rehearsal:
         """What the mark promises at a strength; it is not read where an unseen view keeps less than `least_db`."""
-        from engine.flows.verify.reference_views import ReferenceViews  # most of the reader's imports
-
         model, layout, grain = self.draft.delivery.model, settled.plan.layout, settled.grain
         chips = spread(PUBLIC_KEY, self.draft.digest, layout.codes, len(layout.directions[0]), 1, sized=True)
         if grain.there:
@@ -96,13 +96,19 @@ class Rehearsing:
         pictures = [np.clip(render(marked, camera), 0.0, 1.0) for camera in self._cameras]
         held_out_db = min(psnr(view.plain, picture) for view, picture in zip(views, pictures, strict=True))
         if held_out_db < least_db or self._survive == "model":
-            return Rehearsal(0.0, held_out_db)
-        signs, found = chips.signs(ONE_BIT), []
-        for view, picture in zip(views, pictures, strict=True):
-            for spoil in SPOILT[self._survive]:
-                read = view.read(spoil(picture), np.ones(picture.shape[:2], dtype=bool)).evidence()
-                found.append(signed_z(read.sized(chips.sizes).evidence, signs))
-        return Rehearsal(float(min(found) if self._survive == "worst" else np.mean(found)), held_out_db)
+            return Rehearsal(0.0, held_out_db, 0.0)
+        signs = chips.signs(ONE_BIT)
+
+        def read(view: ReferenceView, picture: Float32) -> float:
+            found = view.read(picture, np.ones(picture.shape[:2], dtype=bool)).evidence()
+            return signed_z(found.sized(chips.sizes).evidence, signs)
+
+        coded = [read(view, _compressed(picture)) for view, picture in zip(views, pictures, strict=True)]
+        predicted = usual = float(np.mean(coded))
+        if self._survive == "worst":
+            noisy = [read(view, _noisy(picture)) for view, picture in zip(views, pictures, strict=True)]
+            predicted = min(coded + noisy)
+        return Rehearsal(predicted, held_out_db, usual)
 
 
 def _compressed(picture: Float32) -> Float32:
@@ -119,13 +125,6 @@ def _noisy(picture: Float32) -> Float32:
     """The picture under noise, as it is stored."""
     noise = np.random.default_rng(REHEARSAL_SEED).normal(0.0, _REHEARSAL.noise, picture.shape)
     return (np.round(np.clip(picture + noise, 0.0, 1.0) * 255.0) / 255.0).astype(np.float32)
-
-
-SPOILT: dict[str, tuple[Callable[[Float32], Float32], ...]] = {
-    "pictures": (_compressed,),
-    "worst": (_compressed, _noisy),
-}
-"""What is done to a picture before the mark is read, by what is to be survived."""
 
 
 def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
@@ -160,6 +159,7 @@ class Choice:
 
     config: EmbedConfig
     rehearsal: Rehearsal  # of these settings
+    survive: str
     wanted_z: float  # 0 where no picture need show the mark
     tried: int  # settings rehearsed
     ground: Groundwork  # of the model as it came
@@ -185,6 +185,7 @@ class Choice:
             psnr_db=config.psnr_db,
             predicted_z=found.predicted_z,
             predicted_held_out_db=found.held_out_db,
+            survive=self.survive,
             wanted_z=self.wanted_z,
             met=self.met,
             tried=self.tried,
@@ -201,6 +202,7 @@ class ChoiceReport:
     psnr_db: float
     predicted_z: float
     predicted_held_out_db: float  # dB, in views that were not looked at
+    survive: str  # what `predicted_z` is of
     wanted_z: float
     met: bool
     tried: int  # settings rehearsed
@@ -272,7 +274,7 @@ def choose(
             found, tried = scene.at(settled), tried + 1
             if found.predicted_z >= wanted:
                 break
-    choice = Choice(config, found, wanted, tried, ground, draft, settled, None)
+    choice = Choice(config, found, auto.survive, wanted, tried, ground, draft, settled, None)
     return choice if allowed is None else _spend(choice, auto, allowed)
 
 

@@ -229,7 +229,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         if delivery.model is not asset.original.model:
             seen = psnr_by_view(asset.original.views.images, ground.cameras, marked, variant.at_view)
             shown, total = int(np.argmin(seen)), min(seen)
-    predicted = predict_claim(plan.energies * ground.picture_scale)
+    rehearsed = 0.0 if asset.choice is None else asset.choice.rehearsal.usual_z
+    predicted = predict_claim(plan.energies * ground.picture_scale, rehearsed)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
         gaussians_out=len(marked),
