@@ -245,18 +245,6 @@ def gather_again(layout: Layout, pulled: Sequence[Float32]) -> Evidence:
     return Evidence(y, weights if pulled else np.zeros(layout.chips), np.zeros(layout.chips))
 
 
-def gather_displacements(layout: Layout, view: View, reference: Float32, picture: Float32, quality: int) -> Float64:
-    """(C,) `Evidence.y` alone, in a third of its time, of a picture of which all but the mark is known.
-
-    The picture (H, W, 3) lies in the reference's pixels and colours and went through JPEG of that `quality`.
-    """
-    everywhere = np.ones(picture.shape[:2], dtype=bool)
-    spread = block_spread(_public_pattern(layout, view))
-    cotangent = np.ascontiguousarray(jpeg_cotangent(reference, picture, everywhere, spread, quality))
-    y = _gathered(layout, view.backward_colors(cotangent))
-    return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, len(layout.directions[0])))
-
-
 def _gathered(layout: Layout, pulled: Float32) -> Float64:
     """(C,) what each Gaussian's colour is pulled by (N, 3), summed over each chip, in SH units."""
     return np.asarray(SH_C0 * layout.gather(pulled))

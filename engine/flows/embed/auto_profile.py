@@ -80,7 +80,7 @@ class Rehearsing:
         self._cameras = draft.delivery.ground.unseen(_REHEARSAL.held_out, _REHEARSAL.side, rng)
 
     def at(self, settled: Settled, least_db: float = 0.0) -> Rehearsal:
-        """What the mark promises at a strength; it is not read where an unseen view keeps less than `least_db`."""
+        """What the mark promises at a strength; it is not read on from a view that keeps less than `least_db`."""
         model, layout, grain = self.draft.delivery.model, settled.plan.layout, settled.grain
         chips = spread(PUBLIC_KEY, self.draft.digest, layout.codes, len(layout.directions[0]), 1, sized=True)
         if grain.there:
@@ -91,24 +91,24 @@ class Rehearsing:
         marked = as_a_copy(model, settled.copies, tint, rough)
         marked = self.draft.lattices.onto(model, marked, bytes(32))
 
-        reference = ReferenceViews(_Marked(model, layout, grain))
-        views = [reference.at(camera) for camera in self._cameras]
-        pictures = [np.clip(render(marked, camera), 0.0, 1.0) for camera in self._cameras]
-        held_out_db = min(psnr(view.plain, picture) for view, picture in zip(views, pictures, strict=True))
-        if held_out_db < least_db or self._survive == "model":
-            return Rehearsal(0.0, held_out_db, 0.0)
-        signs = chips.signs(ONE_BIT)
+        reference, signs = ReferenceViews(_Marked(model, layout, grain)), chips.signs(ONE_BIT)
 
         def read(view: ReferenceView, picture: Float32) -> float:
             found = view.read(picture, np.ones(picture.shape[:2], dtype=bool)).evidence()
             return signed_z(found.sized(chips.sizes).evidence, signs)
 
-        coded = [read(view, _compressed(picture)) for view, picture in zip(views, pictures, strict=True)]
-        predicted = usual = float(np.mean(coded))
-        if self._survive == "worst":
-            noisy = [read(view, _noisy(picture)) for view, picture in zip(views, pictures, strict=True)]
-            predicted = min(coded + noisy)
-        return Rehearsal(predicted, held_out_db, usual)
+        held_out_db, coded, noisy = np.inf, list[float](), list[float]()
+        for camera in self._cameras:  # one after another: of ten million Gaussians a view takes a gigabyte
+            view, picture = reference.at(camera), np.clip(render(marked, camera), 0.0, 1.0)
+            held_out_db = min(held_out_db, psnr(view.plain, picture))
+            if held_out_db < least_db:
+                return Rehearsal(0.0, held_out_db, 0.0)
+            if self._survive != "model":
+                coded.append(read(view, _compressed(picture)))
+            if self._survive == "worst":
+                noisy.append(read(view, _noisy(picture)))
+        usual = float(np.mean(coded)) if coded else 0.0
+        return Rehearsal(min(coded + noisy) if noisy else usual, held_out_db, usual)
 
 
 def _compressed(picture: Float32) -> Float32:
