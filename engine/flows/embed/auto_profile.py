@@ -13,6 +13,7 @@ measured.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -27,16 +28,15 @@ from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.variant import PLAIN, Variant
 from engine.flows.progress import Clock
-from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
+from engine.flows.verify.reference_views import grain_view
 from engine.formats import encode_model
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.image_metrics import psnr
-from engine.raster import render
+from engine.raster import Rendering, draw, render
 from engine.watermark.config import CONFIG as WATERMARK
-from engine.watermark.grain import Grain
+from engine.watermark.image_evidence import layer_evidence
 from engine.watermark.keys import OwnerKey
-from engine.watermark.layout import Layout
 from engine.watermark.spreading import ONE_BIT, grain_key, spread, spread_grain
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, signed_z, z_threshold
 
@@ -61,16 +61,6 @@ class Rehearsal:
     usual_z: float  # at JPEG quality 10, mean of several; 0 where the mark was not read
 
 
-@dataclass(frozen=True)
-class _Marked:
-    """A `MarkedReference` of which there is no record yet."""
-
-    reference: GaussianModel
-    layout: Layout
-    grain: Grain
-    strength: float = 1.0
-
-
 class Rehearsing:
     """A scene with a mark that is planned, whose strength is still open."""
 
@@ -90,23 +80,26 @@ class Rehearsing:
         rough = grain.displacements(values[layout.chips :]) if grain.there else None
         marked = as_a_copy(model, settled.copies, tint, rough)
         marked = self.draft.lattices.onto(model, marked, bytes(32))
+        parts = np.split(values, [layout.chips])
 
-        reference, signs = ReferenceViews(_Marked(model, layout, grain)), chips.signs(ONE_BIT)
-
-        def read(view: ReferenceView, picture: Float32) -> float:
-            found = view.read(picture, np.ones(picture.shape[:2], dtype=bool)).evidence()
-            return signed_z(found.sized(chips.sizes).evidence, signs)
+        def read(drawn: Rendering, plain: Float32, camera: Camera, picture: Float32) -> float:
+            seen = layer_evidence(layout, drawn.view, plain, picture, grain_view(drawn, camera, grain))
+            agreeing = [one * own for one, own in zip(seen, parts, strict=False)]
+            each = [signed_z(one, np.ones(len(one), dtype=np.int8)) for one in agreeing]
+            # Layers are weighed by what each should show, which makes z the root of their sum of squares.
+            return math.hypot(*(max(z, 0.0) for z in each))
 
         held_out_db, coded, noisy = np.inf, list[float](), list[float]()
         for camera in self._cameras:  # one after another: of ten million Gaussians a view takes a gigabyte
-            view, picture = reference.at(camera), np.clip(render(marked, camera), 0.0, 1.0)
-            held_out_db = min(held_out_db, psnr(view.plain, picture))
+            drawn, picture = draw(model, camera), np.clip(render(marked, camera), 0.0, 1.0)
+            plain = np.clip(drawn.image, 0.0, 1.0)
+            held_out_db = min(held_out_db, psnr(plain, picture))
             if held_out_db < least_db:
                 return Rehearsal(0.0, held_out_db, 0.0)
             if self._survive != "model":
-                coded.append(read(view, _compressed(picture)))
+                coded.append(read(drawn, plain, camera, _compressed(picture)))
             if self._survive == "worst":
-                noisy.append(read(view, _noisy(picture)))
+                noisy.append(read(drawn, plain, camera, _noisy(picture)))
         usual = float(np.mean(coded)) if coded else 0.0
         return Rehearsal(min(coded + noisy) if noisy else usual, held_out_db, usual)
 
@@ -267,8 +260,9 @@ def choose(
         if found.held_out_db >= slack:
             break
     if found.predicted_z < wanted and not auto.kept & {"psnr_db", "ssim"}:
-        faithful = config
-        for lower in _CONFIG.lower_db:
+        faithful, lower_db = config, _CONFIG.lower_db
+        # z grows at most as the amplitude does: what would not do then is not rehearsed.
+        for lower in [by for by in lower_db[:-1] if found.predicted_z * 10 ** (by / 20.0) >= wanted] + [lower_db[-1]]:
             config = _lowered(faithful, lower)
             settled = draft.settle(config)
             found, tried = scene.at(settled), tried + 1
