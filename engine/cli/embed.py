@@ -62,7 +62,7 @@ def embed(
         ),
     ] = None,
     psnr: Annotated[
-        float | None, typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark, worst key view (default 47).")
+        float | None, typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark (47; auto: down to 45).")
     ] = None,
     budget: Annotated[
         str,

@@ -57,7 +57,10 @@ class EmbedRequest(RequestBody):
         None, description="auto: what must show the mark: one JPEG-10 picture (default), the worst one, models alone."
     )
     psnr: float | None = Field(
-        None, ge=20, le=90, description="Least PSNR of the mark, dB (47); above the profile's: scope `originals`."
+        None,
+        ge=20,
+        le=90,
+        description="Least PSNR of the mark, dB (47; auto: down to 45); above the profile's: scope `originals`.",
     )
     budget: float | None = Field(None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all.")
     output: Literal["fidelity", "compact"] | None = Field(
