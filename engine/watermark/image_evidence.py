@@ -254,13 +254,16 @@ def layer_evidence(
     """
     everywhere = np.ones(picture.shape[:2], dtype=bool)
     cotangent = np.ascontiguousarray(_reader(layout, view, reference, picture, everywhere, None, None)(reference))
+
+    def saturated(y: Float64, weights: Float64, kinds: int) -> Float64:
+        return np.asarray(weights * _saturate(y, weights, _limits(weights * y, kinds)))
+
     if geometry is None:
-        pulled, layers = view.backward_colors(cotangent), []
+        pulled, grain = view.backward_colors(cotangent), []
     else:
         pulled, moved = geometry.pull(view, cotangent)
-        layers = [(moved.astype(np.float64), geometry.weights().astype(np.float64), ATTRIBUTES)]
-    tint = _gathered(layout, pulled), layout.amplitudes, len(layout.directions[0])
-    return [w * _saturate(y, w, _limits(w * y, kinds)) for y, w, kinds in (tint, *layers)]
+        grain = [saturated(moved.astype(np.float64), geometry.weights().astype(np.float64), ATTRIBUTES)]
+    return [saturated(_gathered(layout, pulled), layout.amplitudes, len(layout.directions[0])), *grain]
 
 
 def _gathered(layout: Layout, pulled: Float32) -> Float64:
