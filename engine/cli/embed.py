@@ -50,11 +50,19 @@ def embed(
         typer.Option(
             "--profile",
             metavar="P",
-            help="fast, balanced, strong; auto: no more than the scene needs; paper, paper-appendix: as published.",
+            help="auto: no more than the scene needs; fast, balanced, strong; paper, paper-appendix: as published.",
         ),
-    ] = "balanced",
+    ] = "auto",
+    survive: Annotated[
+        str | None,
+        typer.Option(
+            "--survive",
+            metavar="model|pictures|worst",
+            help="auto: what must still show the mark; one JPEG-10 picture (default), the worst one, or models alone.",
+        ),
+    ] = None,
     psnr: Annotated[
-        float | None, typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark, worst key view (default 47).")
+        float | None, typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark (47; auto: down to 45).")
     ] = None,
     budget: Annotated[
         str,
@@ -144,7 +152,9 @@ def embed(
         key=owner,
         outputs=_outputs(copy or [""], out, record),
         terms=MarkTerms(
-            config=compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ()),
+            config=compose(
+                profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), survive=survive, knobs=knobs or ()
+            ),
             message=message_signs(message) if message is not None else None,
             bits=bits or 32,
             cameras=read_cameras(cameras) if cameras is not None else None,
@@ -257,9 +267,12 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
         "time": f"{report.seconds:.1f} s: {stages}",
     }
     if (choice := made.choice) is not None:
+        of = {"pictures": "one own render at JPEG 10", "worst": "the worst own render, at JPEG 10 or in noise of 0.1"}
+        shown, reached = of.get(choice.survive), "" if choice.met else ", which is not reached"
+        said = f"predicted z of {shown} {choice.predicted_z:.1f}, required {choice.wanted_z:.1f}{reached}"
         lines["chosen"] = (
-            f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: predicted z of one"
-            f" own render at JPEG 10 {choice.predicted_z:.0f}, required {choice.wanted_z:.0f}"
+            f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: "
+            f"{said if shown else 'no picture was tried'}"
         )
         if choice.spent is not None:
             lines["allowed"] = _spending(choice.spent)

@@ -112,13 +112,13 @@ def embed_moving(
 
     `original_sha256` is the digest of the owner's file, by default of the arrays. The landmark bank is left out: a
     canonical model is nothing a picture shows, `move_record` makes one. Errors are those of
-    `engine.flows.embed.embedding.embed`; InputError for profile `auto`. Returns the marked
-    scene, of the same kind, and an embedding whose model is the marked canonical one and whose record commits to the
-    original.
+    `engine.flows.embed.embedding.embed`. Profile `auto` does not rehearse what moves: see `Auto.unrehearsed`. Returns
+    the marked scene, of the same kind, and an embedding whose model is the marked canonical one and whose record
+    commits to the original.
     """
     config = terms.config or EmbedConfig()
     if isinstance(config, Auto):
-        raise InputError("a scene that moves is not rehearsed: name its settings instead of 'auto'")
+        config = config.unrehearsed
     config = replace(config, landmark_views=0)
     canonical, digest = moving.canonical(), moving.digest()
     times = key_times(moving, config.views)

@@ -9,7 +9,6 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding, embed_on_terms
-from engine.flows.embed.profiles import Auto
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.embed.variant import Variant
 from engine.flows.progress import Progress
@@ -29,16 +28,13 @@ def embed_scene(
 ) -> Iterator[tuple[Scene, Embedding]]:
     """Mark a scene for each of these recipients: the marked scene, of the same kind, and its embedding.
 
-    Errors are those of `engine.flows.embed.embedding.embed`; InputError where the settings of what is not plain
-    Gaussians were to be chosen by rehearsal.
+    Errors are those of `engine.flows.embed.embedding.embed`.
     """
     scene, digest = loaded.scene, loaded.sha256
     if isinstance(scene, GaussianModel):
         for made in embed_on_terms(scene, key, copies, terms, original_sha256=digest, progress=progress):
             yield made.model, made
         return
-    if isinstance(terms.config, Auto):
-        raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
     for copy in copies:
         if isinstance(scene, SpacetimeModel | FrameSequence):
             yield embed_moving(scene, key, terms, original_sha256=digest, copy=copy, progress=progress)

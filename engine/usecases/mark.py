@@ -48,7 +48,7 @@ class MarkRequest:
     key: OwnerKey
     outputs: Mapping[str, MarkOutput]  # by name of the recipient, "" for none; at least one
     terms: MarkTerms  # of every copy; see `flows.embed.profiles.compose` for its settings
-    profile: str = "balanced"  # what the report calls the settings
+    profile: str = "auto"  # what the report calls the settings
     format: str | None = None  # of the marked model; default: the original's own, where that is written
     name: str | None = None  # what errors call the model; default: its path
     spz_frame: str = "auto"  # axes of .spz input: "auto", "spec" or "ply"

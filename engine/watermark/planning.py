@@ -231,9 +231,12 @@ class PredictedZ:
     viewer: float  # a screenshot of a viewer, at JPEG 80
 
 
-def predict_claim(energies: Float64) -> PredictedZ:
-    """What one picture is expected to show; `energies` as of `predict_z`."""
-    z = float(predict_z(energies, np.zeros(energies.shape[1], dtype=np.int32), 1).mean())
+def predict_claim(energies: Float64, rehearsed: float = 0.0) -> PredictedZ:
+    """What one picture is expected to show; `energies` as of `predict_z`; `rehearsed`: z of `render`, where it was
+    read."""
+    z = rehearsed / _CONFIG.claimed_render
+    if not rehearsed:
+        z = float(predict_z(energies, np.zeros(energies.shape[1], dtype=np.int32), 1).mean())
     return PredictedZ(_CONFIG.claimed_render * z, _CONFIG.claimed_viewer * z)
 
 

@@ -88,6 +88,7 @@ class EmbedOptions(TypedDict, total=False):
     message: str
     bits: int
     profile: Literal["fast", "balanced", "strong", "auto", "paper", "paper-appendix"]
+    survive: Literal["model", "pictures", "worst"]
     psnr: float
     budget: float
     output: Literal["fidelity", "compact"]

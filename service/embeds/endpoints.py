@@ -50,11 +50,17 @@ class EmbedRequest(RequestBody):
         None, description="Length of a drawn message (32)."
     )
     profile: Literal["fast", "balanced", "strong", "auto", "paper", "paper-appendix"] = Field(
-        "balanced",
-        description="Speed against accuracy; auto: no more than the scene needs; the others: the paper's system.",
+        "auto",
+        description="auto: no more than the scene needs; speed against accuracy; the others: the paper's system.",
+    )
+    survive: Literal["model", "pictures", "worst"] | None = Field(
+        None, description="auto: what must show the mark: one JPEG-10 picture (default), the worst one, models alone."
     )
     psnr: float | None = Field(
-        None, ge=20, le=90, description="Least PSNR of the mark, dB (47); above the profile's: scope `originals`."
+        None,
+        ge=20,
+        le=90,
+        description="Least PSNR of the mark, dB (47; auto: down to 45); above the profile's: scope `originals`.",
     )
     budget: float | None = Field(None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all.")
     output: Literal["fidelity", "compact"] | None = Field(
@@ -75,6 +81,8 @@ class EmbedRequest(RequestBody):
     def _one_length(self) -> EmbedRequest:
         if self.message is not None and self.bits is not None:
             raise ValueError("provide message or bits, not both: a message has its own length")
+        if self.survive is not None and self.profile != "auto":
+            raise ValueError("survive is for profile 'auto': the others choose nothing")
         return self
 
 

@@ -67,6 +67,7 @@ def _embed(service: Service, run: Run) -> Reply:
             "draws": draws,
             "earlier": _earlier(service, run),
             **{name: request[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
+            "survive": request.get("survive"),  # a job of before has none
         },
         partial(stamp_to_draw, service.db, service.settings) if draws else None,
     ) | {"screening": screening}

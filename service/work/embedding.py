@@ -39,6 +39,7 @@ def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:
                 psnr_db=request.get("psnr"),
                 output=request.get("output"),
                 budget_db=None if request.get("budget") is None else float(request["budget"]),
+                survive=request.get("survive"),
             ),
             message=message_signs(request["message"]) if request.get("message") is not None else None,
             bits=request.get("bits") or 32,

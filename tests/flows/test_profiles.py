@@ -18,7 +18,7 @@ def test_what_an_owner_asks_for_is_composed() -> None:
         "strong", psnr_db=48.0, output="compact", prune=PruneConfig(budget_db=35.0)
     )
     assert compose("auto", budget_db=35.0) == Auto(profile("fast", prune=PruneConfig(budget_db=35.0)))
-    assert compose("auto", psnr_db=48.0) == Auto(profile("fast", psnr_db=48.0), keep_psnr=True)
+    assert compose("auto", psnr_db=48.0) == Auto(profile("fast", psnr_db=48.0), kept=frozenset({"psnr_db"}))
     with pytest.raises(InputError, match="unknown profile 'quick'"):
         compose("quick")
 
@@ -51,8 +51,10 @@ def test_every_knob_has_a_door() -> None:
 
 
 def test_knobs_of_auto_and_knobs_that_are_none() -> None:
-    assert compose("auto", knobs=["quantize.cells=1024"]) == Auto(profile("fast", quantize=HvqConfig(cells=1024)))
-    assert compose("auto", knobs=["psnr_db=48"]) == Auto(profile("fast", psnr_db=48.0), keep_psnr=True)
+    assert compose("auto", knobs=["quantize.cells=1024"]) == Auto(
+        profile("fast", quantize=HvqConfig(cells=1024)), kept=frozenset({"quantize.cells"})
+    )
+    assert compose("auto", knobs=["psnr_db=48"]) == Auto(profile("fast", psnr_db=48.0), kept=frozenset({"psnr_db"}))
     assert compose("fast", budget_db=30.0, knobs=["prune.budget_db=none"]) == profile("fast")
     for bad in ("cells=3", "quantize=3", "quantize.cell=3", "views.deep=3", ""):
         with pytest.raises(InputError, match="there is no knob"):

@@ -5,37 +5,28 @@ A buyer's copy differs by its copy layer alone: message, cells and the owner's l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from engine.catalogue.entry import SeenPoints, see_points
-from engine.compress.hvq import Stage, group_means
 from engine.flows.embed.auto_profile import Choice
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import Committed, OwnerMark, make_owner_mark
 from engine.flows.embed.delivery import Delivery
+from engine.flows.embed.draft import Draft
 from engine.flows.embed.draws import Draws, shares_layer
 from engine.flows.embed.landmark_bank import bank_views, make_bank
-from engine.flows.embed.layer_strengths import Fidelity, Grained, settle, settle_grain
+from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import Groundwork
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import landmarks_in
 from engine.flows.views.camera_rig import Extent
-from engine.model import Float64, GaussianModel
+from engine.model import GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
-from engine.records.header import Arrays
 from engine.records.record import Record
-from engine.watermark.keys import OwnerKey
-from engine.watermark.lattice import FREE, Lattices, find_lattices
-from engine.watermark.masses import find_masses
 from engine.watermark.messages import derive_message
-from engine.watermark.planning import Plan, make_plan
-from engine.watermark.secret_cells import COPIES, OWNER, cells_key, jitter, join_cells, multiples
-from engine.watermark.unpredictability import unexplained
 
 __all__ = ["Asset", "bank_of", "known_landmarks"]
 
@@ -49,77 +40,31 @@ class Asset:
     terms: MarkTerms
     settings: EmbedConfig  # the chosen ones, where that was left open
     choice: Choice | None
-    delivery: Delivery  # unmarked, as a copy would be delivered
-    reference: Arrays  # the delivered model, canonical
-    digest: bytes  # of that
+    draft: Draft
     landmarks: Landmarks | None
     seen: SeenPoints | None
-    key: OwnerKey = field(repr=False)
-    copied: bool  # whether its copies differ: a layer of theirs then lies on the owner's
 
-    @cached_property
-    def grained(self) -> Grained:
-        """The grain at its strength, which no chip decides."""
-        return settle_grain(self.delivery.views, self.settings, self.terms.variant, self.lattices)
-
-    @cached_property
-    def lattices(self) -> Lattices:
-        """On which the values of the unmarked model lie, where Gaussians may be moved one by one."""
-        free = self.terms.variant.labels is None and self.settings.output == "fidelity"
-        return find_lattices(self.delivery.model) if free else FREE
+    @property
+    def delivery(self) -> Delivery:
+        """Unmarked, as a copy would be delivered."""
+        return self.draft.delivery
 
     @cached_property
     def owner_mark(self) -> OwnerMark:
         """What all copies share, with what their records commit to."""
-        terms, settings, ground, views = self.terms, self.settings, self.delivery.ground, self.delivery.views
-        settled = settle(views, self._plan(), settings, self.grained)
-        message = derive_message(self.key, terms.length, self.digest) if terms.message is None else terms.message
+        terms, settings, draft = self.terms, self.settings, self.draft
+        ground, views, digest = self.delivery.ground, self.delivery.views, self.draft.digest
+        settled = draft.settle(settings) if self.choice is None else self.choice.settled
+        message = derive_message(draft.key, terms.length, digest) if terms.message is None else terms.message
         earlier = terms.earlier
-        shared = earlier if earlier is not None and shares_layer(earlier, self.digest, self.key) else None
+        shared = earlier if earlier is not None and shares_layer(earlier, digest, draft.key) else None
         draws = Draws(self.original_sha256, terms.stamp, shared)
         commitments = terms.variant.commitments
-        committed = Committed(self.digest, message, ground.cameras, self.landmarks, commitments, draws)
-        wanted = Fidelity(settings.psnr_db + (CONFIG.strength.copy_margin_db if self.copied else 0.0), settings.ssim)
+        committed = Committed(digest, message, ground.cameras, self.landmarks, commitments, draws)
+        wanted = Fidelity(settings.psnr_db + (CONFIG.strength.copy_margin_db if draft.copied else 0.0), settings.ssim)
         at_view = terms.variant.at_view
         pixels = ground.picture_scale
-        return make_owner_mark(views, settled, self.key, committed, wanted, pixels, at_view, self.lattices)
-
-    def _plan(self) -> Plan:
-        """The tint at unit strength, on cells that the key joins; and the layer in which copies may differ."""
-        variant, settings, config = self.terms.variant, self.settings, self.settings.plan
-        ground, delivered, stages = self.delivery.ground, self.delivery.model, self.delivery.stages
-        # A file's own codebook and the compact output keep few values on purpose: Gaussians move together there, and
-        # what many share is no sign of clipping.
-        own = variant.labels is not None or settings.paper.public_codes
-        free = not own and settings.output == "fidelity"
-        still = find_masses(delivered.sh[:, 0], config.mass_share) if free else None
-        secret = cells_key(self.key, self.digest, OWNER)
-        missed: Float64 | None = None
-        times = None if still is None else multiples(secret, still)
-        if not own:
-            first = self._joined(secret)
-            centers = group_means(delivered.means, first.labels, ground.colors).astype(np.float64)
-            missed = unexplained(centers, first.codebook[:, :3].astype(np.float64))
-            stages = (first, *stages[1:])
-        shaken = None if settings.paper.public_codes else lambda chips: jitter(secret, chips)
-        emphasis = variant.emphasis_on(ground.impact)
-        whole = settings.paper.whole_sh
-        plan = make_plan(stages, ground.impact, config, emphasis, missed, shaken, times, whole=whole)
-        if not self.copied:
-            return plan
-        secret = cells_key(self.key, self.digest, COPIES)
-        stage = stages[0] if own else self._joined(secret, blurred=still is not None)
-        times = None if still is None else multiples(secret, still)
-        alone = replace(config, stages=1)
-        layer = make_plan(
-            (stage,), ground.impact, alone, emphasis, None, lambda chips: jitter(secret, chips), times, whole=whole
-        ).layout
-        return replace(plan, copies=replace(layer, directions=plan.layout.directions[:1]))
-
-    def _joined(self, secret: bytes, *, blurred: bool = False) -> Stage:
-        ground, public, count = self.delivery.ground, self.delivery.stages[0], self.settings.plan.codes
-        features, colors = ground.cell_features, ground.colors
-        return join_cells(public, features, self.delivery.model, colors, count, secret, blurred=blurred)
+        return make_owner_mark(views, settled, draft.key, committed, wanted, pixels, at_view, draft.lattices)
 
 
 def bank_of(

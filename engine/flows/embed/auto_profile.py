@@ -1,112 +1,110 @@
-"""Choosing settings for a scene (`embed --profile auto`): the cheapest whose mark one bad picture still shows.
+"""Choosing settings for a scene (`embed --profile auto`): the cheapest whose mark survives what the owner asks for.
 
-A scene is rehearsed: its mark is planned and read from bad pictures before it is made. Its strength is solved on the
-key views, with random chips and no landmarks. Then views that no key view was are rendered large, kept as bad JPEG
-files and read as suspects would be. Under noise follows without rendering, from the mark's PSNR and the number of chips
-that matter,
+A scene is rehearsed: its mark is planned and settled as it will be embedded, on the key's own cells, both layers and
+the copies' where there are copies. In place of the owner's chips, which nothing may be chosen by, it gets those of a
+public key. Views that no key view was are then rendered large, spoilt, and read by the reader of `verify`. What that
+reader loses, the promise lacks, too: nothing is modeled.
 
-    z = 1 / sqrt(1 / (efficiency^2 S) + 1 / E),   S = 3 P 10^(-PSNR / 10) / noise^2,   P pixels, E chips.
-
-The lower z is what the scene promises. Where the owner allows a loss (a pruning budget), every way of spending it
-(`ways`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite
-pareto`, which holds every promise against what was measured.
+Where the owner allows a loss (a pruning budget), every way of spending it (`ways`) is rehearsed, too, smallest file
+first. The same functions serve `mark3dgs evaluate --suite pareto`, which holds every promise against what was
+measured.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from engine.flows.embed.config import CONFIG
-from engine.flows.embed.delivery import Delivery, deliver
-from engine.flows.embed.layer_strengths import add_dc, first_guess, solve_strength
+from engine.flows.embed.copy_mark import as_a_copy
+from engine.flows.embed.delivery import deliver
+from engine.flows.embed.draft import Draft
 from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
+from engine.flows.embed.variant import PLAIN, Variant
 from engine.flows.progress import Clock
-from engine.flows.views.view_set import look
+from engine.flows.verify.reference_views import grain_view
 from engine.formats import encode_model
-from engine.kernels.jit import side_by_side
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.image_metrics import psnr
+from engine.raster import Rendering, draw, render
 from engine.watermark.config import CONFIG as WATERMARK
-from engine.watermark.image_evidence import gather_displacements
+from engine.watermark.image_evidence import layer_evidence
 from engine.watermark.keys import OwnerKey
-from engine.watermark.layout import Layout
-from engine.watermark.masses import find_masses
-from engine.watermark.planning import make_plan
-from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
+from engine.watermark.spreading import ONE_BIT, grain_key, spread, spread_grain
+from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, signed_z, z_threshold
+
+if TYPE_CHECKING:
+    from engine.flows.embed.layer_strengths import Settled
 
 __all__ = ["Choice", "Rehearsal", "Rehearsing", "choose", "wanted_z", "ways"]
 
 _CONFIG, _REHEARSAL = CONFIG.auto, CONFIG.rehearsal
 REHEARSAL_SEED = 0x5EED
+PUBLIC_KEY = OwnerKey(hashlib.sha256(b"mark3dgs rehearsal: a key that everybody knows").digest())
 
 
 @dataclass(frozen=True)
 class Rehearsal:
     """What a scene promises under some settings."""
 
-    # Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise of
-    # std 0.1, whichever is lower
+    # Of the claim from one bad picture of an unseen view. Where the worst is to be survived, the least of several, and
+    # under noise of std 0.1, too; else `usual_z`
     predicted_z: float
-    psnr_db: float  # of the mark, worst key view; above the wanted one where SSIM limits
-    held_out_db: float  # of the mark, worst of some views that are not key views
+    held_out_db: float  # of the mark, worst of those views
+    usual_z: float  # at JPEG quality 10, mean of several; 0 where the mark was not read
 
 
 class Rehearsing:
-    """A scene with a mark planned on its key views, whose strength is still open."""
+    """A scene with a mark that is planned, whose strength is still open."""
 
-    def __init__(self, delivery: Delivery) -> None:
-        self.delivery = delivery
-        model, ground, config = delivery.model, delivery.ground, delivery.settings
+    def __init__(self, draft: Draft, survive: str = "pictures") -> None:
+        self.draft, self._survive = draft, survive
         rng = np.random.default_rng(REHEARSAL_SEED)
-        self._unseen = look(model, ground.unseen(_REHEARSAL.held_out, _REHEARSAL.side, rng), lambda fraction: None)
-        self._telling = list(range(len(self._unseen.views)))  # which of them are read
-        moving = None
-        if config.output == "fidelity":
-            moving = (~find_masses(model.sh[:, 0], config.plan.mass_share)).astype(np.float32)
-        self._plan = make_plan(delivery.stages, ground.impact, config.plan, multiples=moving)
-        layout = self._plan.layout
-        self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
-        self._displacement = layout.displace(layout.amplitudes * self._signs)
+        self._cameras = draft.delivery.ground.unseen(_REHEARSAL.held_out, _REHEARSAL.side, rng)
 
-    def at(self, config: EmbedConfig) -> Rehearsal:
-        """What these settings' fidelity promises."""
-        delivery, energies = self.delivery, self._plan.energies  # (V, C)
-        totals = energies.sum(axis=1)
-        # What the grain may take of the fidelity is not the tint's, which alone a bad picture shows.
-        grained = config.plan.grain_center > 0 or config.plan.grain_scale > 0
-        rest = 1.0 - CONFIG.strength.grain_ssim_share if grained else 1.0
-        room_db = -10.0 * math.log10(rest)
-        start = first_guess(energies, delivery.views.cameras, config.psnr_db + room_db)
-        wanted = config.psnr_db + room_db, 1.0 - rest * (1.0 - config.ssim)
-        strength = solve_strength(delivery.views, self._displacement, *wanted, start)
-        layout = self._plan.times(strength.factor).layout
-        marked = add_dc(delivery.model.sh, np.float32(strength.factor) * self._displacement)
-        pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
-        held_out_db = min(psnr(a, b) for a, b in zip(self._unseen.images, pictures, strict=True))
-        # Most of it is NumPy on one thread.
-        read = side_by_side(lambda k: self._read(pictures[k], k, layout), self._telling)
-        found = sorted(zip(read, self._telling, strict=True))
-        self._telling = [k for _, k in found[: _REHEARSAL.worst]]
-        chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
-        signal = 3.0 * _REHEARSAL.side**2 * 10 ** (-strength.psnr_db / 10.0) / _REHEARSAL.noise**2
-        noisy = 1.0 / math.sqrt(1.0 / max(_REHEARSAL.noise_efficiency**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
-        return Rehearsal(min(found[0][0], noisy), strength.psnr_db - room_db, held_out_db - room_db)
+    def at(self, settled: Settled, least_db: float = 0.0) -> Rehearsal:
+        """What the mark promises at a strength; it is not read on from a view that keeps less than `least_db`."""
+        model, layout, grain = self.draft.delivery.model, settled.plan.layout, settled.grain
+        chips = spread(PUBLIC_KEY, self.draft.digest, layout.codes, len(layout.directions[0]), 1, sized=True)
+        if grain.there:
+            chips = chips.then(spread_grain(grain_key(PUBLIC_KEY, self.draft.digest), len(model), 1, sized=True))
+        values = chips.values(ONE_BIT)
+        tint = layout.displace(layout.amplitudes * values[: layout.chips])
+        rough = grain.displacements(values[layout.chips :]) if grain.there else None
+        marked = as_a_copy(model, settled.copies, tint, rough)
+        marked = self.draft.lattices.onto(model, marked, bytes(32))
+        parts = np.split(values, [layout.chips])
 
-    def _read(self, picture: Float32, number: int, layout: Layout) -> float:
-        """z of the claim from an unseen view of the marked model, kept badly."""
-        plain, marked = (np.clip(image, 0.0, 1.0) for image in (self._unseen.images[number], picture))
-        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), _REHEARSAL.quality)
-        one_bit = np.zeros(layout.chips, dtype=np.int32)
-        return claim_z(y, layout.amplitudes, one_bit, self._signs, np.ones(1, dtype=np.int8))
+        def read(drawn: Rendering, plain: Float32, camera: Camera, picture: Float32) -> float:
+            seen = layer_evidence(layout, drawn.view, plain, picture, grain_view(drawn, camera, grain))
+            agreeing = [one * own for one, own in zip(seen, parts, strict=False)]
+            each = [signed_z(one, np.ones(len(one), dtype=np.int8)) for one in agreeing]
+            # Layers are weighed by what each should show, which makes z the root of their sum of squares.
+            return math.hypot(*(max(z, 0.0) for z in each))
+
+        held_out_db, coded, noisy = np.inf, list[float](), list[float]()
+        for camera in self._cameras:  # one after another: of ten million Gaussians a view takes a gigabyte
+            drawn, picture = draw(model, camera), np.clip(render(marked, camera), 0.0, 1.0)
+            plain = np.clip(drawn.image, 0.0, 1.0)
+            held_out_db = min(held_out_db, psnr(plain, picture))
+            if held_out_db < least_db:
+                return Rehearsal(0.0, held_out_db, 0.0)
+            if self._survive != "model":
+                coded.append(read(drawn, plain, camera, _compressed(picture)))
+            if self._survive == "worst":
+                noisy.append(read(drawn, plain, camera, _noisy(picture)))
+        usual = float(np.mean(coded)) if coded else 0.0
+        return Rehearsal(min(coded + noisy) if noisy else usual, held_out_db, usual)
 
 
-def _spoil(picture: Float32) -> Float32:
+def _compressed(picture: Float32) -> Float32:
     """The picture after JPEG."""
     import cv2
 
@@ -114,6 +112,12 @@ def _spoil(picture: Float32) -> Float32:
     coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _REHEARSAL.quality])[1]
     decoded = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.float32)
     return decoded[..., ::-1] / np.float32(255.0)
+
+
+def _noisy(picture: Float32) -> Float32:
+    """The picture under noise, as it is stored."""
+    noise = np.random.default_rng(REHEARSAL_SEED).normal(0.0, _REHEARSAL.noise, picture.shape)
+    return (np.round(np.clip(picture + noise, 0.0, 1.0) * 255.0) / 255.0).astype(np.float32)
 
 
 def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
@@ -142,25 +146,23 @@ class Spent:
     ways: tuple[Way, ...]  # smallest file first
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Choice:
     """The settings chosen for a scene."""
 
+    config: EmbedConfig
     rehearsal: Rehearsal  # of these settings
-    wanted_z: float
+    survive: str
+    wanted_z: float  # 0 where no picture need show the mark
     tried: int  # settings rehearsed
     ground: Groundwork  # of the model as it came
-    delivery: Delivery  # what was rehearsed on; `embed` goes on from it
+    draft: Draft  # what was rehearsed; `embed` goes on from it,
+    settled: Settled  # at this strength
     spent: Spent | None  # on what the owner's allowance went, where there was one
 
     @property
-    def config(self) -> EmbedConfig:
-        """The settings."""
-        return self.delivery.settings
-
-    @property
     def met(self) -> bool:
-        """Whether one bad picture is predicted to show all bits and a claim.
+        """Whether what was asked for is predicted to show all bits and a claim.
 
         Where nothing meets that, the choice is the strongest; better pictures, several, or the model itself may still
         show everything.
@@ -175,8 +177,8 @@ class Choice:
             view_size=config.view_size,
             psnr_db=config.psnr_db,
             predicted_z=found.predicted_z,
-            predicted_psnr_db=found.psnr_db,
             predicted_held_out_db=found.held_out_db,
+            survive=self.survive,
             wanted_z=self.wanted_z,
             met=self.met,
             tried=self.tried,
@@ -192,20 +194,23 @@ class ChoiceReport:
     view_size: int  # pixels
     psnr_db: float
     predicted_z: float
-    predicted_psnr_db: float
     predicted_held_out_db: float  # dB, in views that were not looked at
+    survive: str  # what `predicted_z` is of
     wanted_z: float
     met: bool
     tried: int  # settings rehearsed
     spent: Spent | None
 
 
-def wanted_z(bits: int) -> float:
-    """z that a picture must be predicted to give: a claim at 1e-9 and every bit clear, with a `margin`.
+def wanted_z(bits: int, survive: str = "pictures") -> float:
+    """z that a picture must be predicted to give: a claim at 2^-128 and every bit clear, with a `margin`.
 
     A bit's z is the message's over the root of its length; `bit_z` of them is what the planner accepts.
     """
-    return _CONFIG.margin * max(z_threshold(CHANCE_RATE), (WATERMARK.planning.bit_z + 0.2) * math.sqrt(bits))
+    if survive == "model":
+        return 0.0
+    needed = z_threshold(DISHONEST_CLAIMANT_RATE), (WATERMARK.planning.bit_z + 0.2) * float(np.sqrt(bits))
+    return _CONFIG.margin * max(needed)
 
 
 @one_blas_thread
@@ -216,6 +221,9 @@ def choose(
     auto: Auto,
     original_sha256: str,
     cameras: Sequence[Camera] | None = None,
+    variant: Variant = PLAIN,
+    *,
+    copied: bool = False,
 ) -> Choice:
     """The cheapest settings that are predicted to do: the fewest views that do, then the highest fidelity that does.
 
@@ -224,64 +232,74 @@ def choose(
     Parameters
     ----------
     key : OwnerKey
-        Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
+        Draws the key views and cells, on which the mark is rehearsed as it will be made; its chips are not looked at.
     auto : Auto
         The number of cells is not chosen: fewer save no time, more show no better.
     original_sha256 : str
         Hex digest of the owner's file.
     cameras : sequence of Camera, optional
         The owner's own.
+    copied : bool
+        Whether copies will have a layer of their own on top.
     """
-    wanted, tried, allowed = wanted_z(bits), 0, auto.start.prune.budget_db
+    wanted, tried, allowed = wanted_z(bits, auto.survive), 0, auto.start.prune.budget_db
     whole = replace(auto.start, prune=replace(auto.start.prune, budget_db=None))
-    for views in _CONFIG.views:
+    if allowed is None and "view_size" not in auto.kept:  # a loss is measured where it is seen: on large views
+        whole = replace(whole, view_size=_CONFIG.view_size)
+    if auto.survive == "model" and "landmark_views" not in auto.kept:
+        whole = replace(whole, landmark_views=0)
+    counts = (whole.views,) if "views" in auto.kept else _CONFIG.views
+    for views in counts:
         tried += 1
-        # A loss is measured where it is seen: on large views.
-        config = replace(whole, views=views, view_size=_CONFIG.view_size if allowed is None else whole.view_size)
-        ground = lay_groundwork(model, key, original_sha256, config, cameras)
-        scene = Rehearsing(deliver(ground, config, Clock()))
-        found = scene.at(config)
-        if found.held_out_db >= config.psnr_db - _CONFIG.slack_db:
+        config = replace(whole, views=views)
+        ground = lay_groundwork(model, key, original_sha256, config, cameras, variant)
+        draft = Draft(deliver(ground, config, Clock()), variant, key, copied)
+        scene, settled = Rehearsing(draft, auto.survive), draft.settle(config)
+        slack = 0.0 if views == counts[-1] else config.psnr_db - _CONFIG.slack_db
+        found = scene.at(settled, slack)
+        if found.held_out_db >= slack:
             break
-    if found.predicted_z < wanted and not auto.keep_psnr:
-        faithful = config
-        for lower in _CONFIG.lower_db:
+    if found.predicted_z < wanted and not auto.kept & {"psnr_db", "ssim"}:
+        faithful, lower_db = config, _CONFIG.lower_db
+        # z grows at most as the amplitude does: what would not do then is not rehearsed.
+        for lower in [by for by in lower_db[:-1] if found.predicted_z * 10 ** (by / 20.0) >= wanted] + [lower_db[-1]]:
             config = _lowered(faithful, lower)
-            found, tried = scene.at(config), tried + 1
+            settled = draft.settle(config)
+            found, tried = scene.at(settled), tried + 1
             if found.predicted_z >= wanted:
                 break
-    delivery, spent = replace(scene.delivery, settings=config), None
-    if allowed is not None:
-        delivery, found, spent = _spend(ground, delivery, found, auto, allowed, wanted)
-        tried += sum(way.predicted_z is not None for way in spent.ways)
-    return Choice(found, wanted, tried, ground, delivery, spent)
+    choice = Choice(config, found, auto.survive, wanted, tried, ground, draft, settled, None)
+    return choice if allowed is None else _spend(choice, auto, allowed)
 
 
-def _spend(
-    ground: Groundwork, kept: Delivery, found: Rehearsal, auto: Auto, allowed_db: float, wanted: float
-) -> tuple[Delivery, Rehearsal, Spent]:
+def _spend(kept: Choice, auto: Auto, allowed_db: float) -> Choice:
     """The smallest file within the allowance that shows as much of the mark as is wanted, or nearly what there is."""
-    config, least = kept.settings, min(wanted, _CONFIG.kept_share * found.predicted_z)
+    ground, draft, choice = kept.ground, kept.draft, kept
+    least = min(kept.wanted_z, _CONFIG.kept_share * kept.rehearsal.predicted_z)
     # Which is smallest is seen without recovery, which takes most of the time.
-    degree = kept.model.sh_degree
-    made = [deliver(ground, _recovering(way, False), Clock()) for way in ways(config, allowed_db, degree)]
+    degree = draft.delivery.model.sh_degree
+    made = [deliver(ground, _recovering(way, False), Clock()) for way in ways(kept.config, allowed_db, degree)]
     within = [one for one in made if (one.pruned.psnr_pruned_worst_view or 0.0) >= allowed_db]
     # The whole file: a palette (.sog) costs a part as much as all.
     weighed = sorted(((len(encode_model(one.model, auto.format)), one) for one in within), key=lambda each: each[0])
-    whole, chosen = len(encode_model(kept.model, auto.format)), None
+    whole, chosen = len(encode_model(draft.delivery.model, auto.format)), None
     tried: list[Way] = []
     for size, one in weighed:
         z, degree = None, one.model.sh_degree
         if chosen is None and size < whole:
-            if config.prune.recover:
+            if kept.config.prune.recover:
                 one = deliver(ground, _recovering(one.settings, True), Clock())
                 size = len(encode_model(one.model, auto.format))
-            promise = Rehearsing(one).at(one.settings)
+            other = replace(draft, delivery=one)
+            settled = other.settle(one.settings)
+            promise = Rehearsing(other, auto.survive).at(settled)
             z = promise.predicted_z
             if z >= least:
-                chosen, kept, found = degree, one, promise
+                chosen = degree
+                choice = replace(kept, config=one.settings, rehearsal=promise, draft=other, settled=settled)
         tried.append(Way(degree, len(one.model), size, z))
-    return kept, found, Spent(allowed_db, chosen, whole, tuple(tried))
+    rehearsed = kept.tried + sum(way.predicted_z is not None for way in tried)
+    return replace(choice, tried=rehearsed, spent=Spent(allowed_db, chosen, whole, tuple(tried)))
 
 
 def _recovering(config: EmbedConfig, recover: bool) -> EmbedConfig:

@@ -23,6 +23,7 @@ from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.record import Plan
+from engine.watermark.copy_layer import CopyLayer
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
 from engine.watermark.lattice import FREE, Lattices
@@ -126,16 +127,22 @@ def make_owner_mark(
         dither = drawn.lattice_key
         marked = lattices.onto(model, displaced(model, tint, rough), dither)
         seen = marked
-        if copies is not None:  # as a copy will be, but for values that are not its own
-            usual = copies.layout.displace(copies.layout.amplitudes * public_values(copies.layout.chips))
-            own = copies.grain.displacements(public_values(copies.grain.chips(len(model))))
-            own_too = displaced(model, tint + usual, _sum(rough, own if copies.grain.there else None))
-            seen = lattices.onto(model, own_too, dither)
+        if copies is not None:
+            seen = lattices.onto(model, as_a_copy(model, copies, tint, rough), dither)
         fidelity = measure(views, seen, at_view)
         if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
         settled = settled.lowered(fidelity, wanted)
     return OwnerMark(settled, committed, drawn, signed, tint, rough, marked, lattices, fidelity, capacity, pictured)
+
+
+def as_a_copy(model: GaussianModel, copies: CopyLayer | None, tint: Float32, rough: Float64 | None) -> GaussianModel:
+    """The model displaced by the owner's layer as a copy of it will be, but for values that are not its own."""
+    if copies is None:
+        return displaced(model, tint, rough)
+    usual = copies.layout.displace(copies.layout.amplitudes * public_values(copies.layout.chips))
+    own = copies.grain.displacements(public_values(copies.grain.chips(len(model))))
+    return displaced(model, tint + usual, _sum(rough, own if copies.grain.there else None))
 
 
 def make_mark(

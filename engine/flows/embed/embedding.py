@@ -22,12 +22,12 @@ from engine.flows.embed.asset import Asset, bank_of, known_landmarks
 from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import make_mark
 from engine.flows.embed.delivery import Pruned, deliver
+from engine.flows.embed.draft import Draft
 from engine.flows.embed.draws import SECOND_WATERMARK, second_watermark, shares_layer
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
-from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.draw import stamps_extra
 from engine.flows.records.opened_record import ORIGIN
@@ -36,7 +36,6 @@ from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
 from engine.records.record import Plan, Record
-from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import message_hex
@@ -157,15 +156,14 @@ def _prepare(
     """Everything up to the recipient's own part."""
     config, variant = terms.config, terms.variant
     choice: Choice | None = None
+    if isinstance(config, Auto) and variant.at_view is not None:
+        raise InputError("a variant that moves is not rehearsed: name its settings instead of 'auto'")
+    start = config.start if isinstance(config, Auto) else config or EmbedConfig()
+    variant.check(model, keeps_rows=start.keeps_rows, refines=start.refine.steps > 0)
     if isinstance(config, Auto):
-        if variant is not PLAIN:
-            raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
         with clock.stage("choose"):  # 0
-            choice = choose(model, key, terms.length, config, original_sha256, terms.cameras)
-        settings = choice.config
-    else:
-        settings = config or EmbedConfig()
-    variant.check(model, keeps_rows=settings.keeps_rows, refines=settings.refine.steps > 0)
+            choice = choose(model, key, terms.length, config, original_sha256, terms.cameras, variant, copied=copied)
+    settings = start if choice is None else choice.config
     if settings.refine.steps > 0:  # said now, not when the work is half done
         load_extra("torch", "train", "refinement (refine.steps > 0)")
 
@@ -177,26 +175,21 @@ def _prepare(
             else lay_groundwork(model, key, original_sha256, settings, terms.cameras, variant, clock)
         )
     # 2, 3, 4
-    delivery = choice.delivery if choice else deliver(original, settings, clock)
+    draft = choice.draft if choice else Draft(deliver(original, settings, clock), variant, key, copied)
     with clock.stage("quantize"):
-        reference = encode_reference(delivery.model)
-        digest = reference_digest(reference)
+        digest = draft.digest
     with clock.stage("landmarks"):
         known = None if terms.earlier is None else known_landmarks(terms.earlier, digest, settings)
-        landmarks, seen = bank_of(delivery.model, original.extent, settings, clock, known)
+        landmarks, seen = bank_of(draft.delivery.model, original.extent, settings, clock, known)
     return Asset(
         original=original,
         original_sha256=original_sha256,
         terms=terms,
         settings=settings,
         choice=choice,
-        delivery=delivery,
-        reference=reference,
-        digest=digest,
+        draft=draft,
         landmarks=landmarks,
         seen=seen,
-        key=key,
-        copied=copied,
     )
 
 
@@ -225,7 +218,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         placed: Json = {ORIGIN: list(marked.origin)} if any(marked.origin) else {}
         record = Record.make(
             key,
-            asset.reference,
+            asset.draft.reference,
             original_digest=asset.original_sha256,
             plan=mark.plan,
             extra={"settings": settings.to_json() | placed, **stamps_extra(committed.stamps)},
@@ -236,7 +229,8 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         if delivery.model is not asset.original.model:
             seen = psnr_by_view(asset.original.views.images, ground.cameras, marked, variant.at_view)
             shown, total = int(np.argmin(seen)), min(seen)
-    predicted = predict_claim(plan.energies * ground.picture_scale)
+    rehearsed = 0.0 if asset.choice is None else asset.choice.rehearsal.usual_z
+    predicted = predict_claim(plan.energies * ground.picture_scale, rehearsed)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
         gaussians_out=len(marked),
@@ -264,7 +258,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
     """Refuse a second owner's layer on one model: with a copy of each, both follow from their difference."""
-    if not shares_layer(earlier, asset.digest, asset.key):
+    if not shares_layer(earlier, asset.draft.digest, asset.draft.key):
         return
     ours, arrays = plan
     copies = [{**each["copies"], "draw": 0} if "copies" in each else None for each in (earlier.plan, ours)]

@@ -144,15 +144,33 @@ AUTO = "auto"
 """The name under which a profile is left to the scene."""
 
 
+SURVIVE = ("model", "pictures", "worst")
+"""What `auto` plans for: the model and parts of it alone; one picture at JPEG quality 10 of the usual view; that and
+noise of std 0.1, in the worst view."""
+
+
 @dataclass(frozen=True)
 class Auto:
     """Settings that a rehearsal on the scene chooses (`engine.flows.embed.auto_profile`)."""
 
-    # Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew, and so is on what its
-    # pruning budget is spent: no file need be larger than that allows
+    # Where to start from; its views, view size, landmarks and fidelity are chosen anew, and so is on what its pruning
+    # budget is spent: no file need be larger than that allows
     start: EmbedConfig = PROFILES["fast"]
-    keep_psnr: bool = False  # the owner named this fidelity: evidence may not be bought with it
+    survive: str = "pictures"  # what the claim must, one of SURVIVE
+    kept: frozenset[str] = frozenset()  # knobs that the owner named, and that are not chosen
     format: str = "ply"  # of the delivered file, whose bytes count
+
+    def __post_init__(self) -> None:
+        if self.survive not in SURVIVE:
+            raise InputError(f"survive must be one of {', '.join(SURVIVE)}, got {self.survive!r}")
+
+    @property
+    def unrehearsed(self) -> EmbedConfig:
+        """The settings of what is not rehearsed, a scene that moves: of `balanced`, but for what the owner named.
+        InputError where more than the default was to survive."""
+        if self.survive != Auto.survive:
+            raise InputError(f"a scene that moves is not rehearsed: survive={self.survive!r} cannot be kept")
+        return self.start if "views" in self.kept else replace(self.start, views=PROFILES["balanced"].views)
 
 
 Settings = EmbedConfig | Auto
@@ -172,11 +190,13 @@ def compose(
     psnr_db: float | None = None,
     output: str | None = None,
     budget_db: float | None = None,
+    survive: str | None = None,
     knobs: Sequence[str] = (),
 ) -> Settings:
     """A named profile, or `auto`, with what an owner wants changed; None leaves the profile's own.
 
-    `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
+    `survive` is for `auto`, see SURVIVE. `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs
+    config show` lists.
     """
     wanted = {"psnr_db": psnr_db, "output": output}
     changes: Json = {knob: value for knob, value in wanted.items() if value is not None}
@@ -186,9 +206,11 @@ def compose(
     for knob in knobs:
         config = _turned(config, *knob.partition("=")[::2])
     if name != AUTO:
+        if survive is not None:
+            raise InputError(f"profile {name!r} chooses nothing: survive is for {AUTO!r}")
         return config
-    keep_psnr = psnr_db is not None or any(knob.startswith("psnr_db=") for knob in knobs)
-    return Auto(config, keep_psnr)
+    named = {knob.partition("=")[0] for knob in knobs} | set(changes)
+    return Auto(config, survive or "pictures", frozenset(named))
 
 
 def delivered_as(settings: Settings | None, format: str) -> Settings | None:

@@ -17,14 +17,14 @@ from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import Alike, ColorChange, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import ViewerTone, find_viewer_tone
-from engine.raster import RasterSettings, View, draw, prepare_view, sh_colors
-from engine.watermark.grain import ATTRIBUTES, roughen
+from engine.raster import RasterSettings, Rendering, View, draw, prepare_view, sh_colors
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
 from engine.watermark.spreading import public_signs
 from engine.watermark.unpredictability import public_misfit
 
-__all__ = ["ReferenceView", "ReferenceViews", "seen_shift"]
+__all__ = ["ReferenceView", "ReferenceViews", "grain_view", "seen_shift"]
 
 OPAQUE = CONFIG.color_change.opaque
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
@@ -63,12 +63,7 @@ class ReferenceViews:
         colors = np.maximum((drawn.colors if own is None else own) + seen_shift(self._tint, model, camera), 0.0)
         colors = colors if tone is None else tone(colors)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
-        geometry = None
-        if grain.there:
-            seen = drawn.view.geometry
-            smooth = seen.settings.antialiased or len(seen.discs) > 0
-            flat = replace(PLAIN, by_distance=settings.by_distance)
-            geometry = GrainView(draw(model, camera, settings=flat, colors=toned) if smooth else drawn, grain)
+        geometry = grain_view(drawn, camera, grain, toned)
         return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry, tone=tone, steep=steep)
 
     def tone(self, camera: Camera, settings: RasterSettings, picture: Float32) -> ViewerTone | None:
@@ -130,6 +125,17 @@ class ReferenceView:
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
         mark = PublicMark(self.mark, self.of.signs, self.blur, self.steep, self.of.change)
         return gather_image_evidence(*seen, mark, through, self.geometry)
+
+
+def grain_view(drawn: Rendering, camera: Camera, grain: Grain, colors: Float32 | None = None) -> GrainView | None:
+    """The unmarked reference as the grain is read in it, where there is one: `drawn` from this camera in `colors`."""
+    if not grain.there:
+        return None
+    seen = drawn.view.geometry
+    if seen.settings.antialiased or len(seen.discs) > 0:
+        flat = replace(PLAIN, by_distance=seen.settings.by_distance)
+        drawn = draw(drawn.model, camera, settings=flat, colors=colors)
+    return GrainView(drawn, grain)
 
 
 def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:

@@ -77,6 +77,11 @@ MEASUREMENTS = {
         "Gaussians, bytes, seconds, dB and z for every pruning budget, without and with recovery",
         "marking:measure_budgets",
     ),
+    "promises": Measurement(
+        "what profile auto promises of one JPEG-10 picture and what three show, CPU seconds beside fast and balanced",
+        "marking:measure_promises",
+        (),
+    ),
     "screenshots": Measurement(
         "claims from pictures of unknown camera, and from another scene's",
         "attacks:measure_screenshots",

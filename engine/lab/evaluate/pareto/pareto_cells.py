@@ -14,10 +14,12 @@ from engine.flows.embed.auto_profile import Rehearsal, Rehearsing
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import whole_displacements
 from engine.flows.embed.delivery import deliver
+from engine.flows.embed.draft import Draft
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig
+from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import LoadedModel, encode_model, read_model
@@ -101,7 +103,7 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
         **timed,
         "busy": load_per_core(),
         "shares_landmarks": setting.shares_landmarks and not quick,
-        "predicted_worst_z": predicted,
+        "predicted_z": predicted,
         **_fidelity(subject, loaded.model, views),
         "frame_ms": median_ms(lambda: render(made.model, camera), 3 if quick else 9),
         "frame_size": [camera.width, camera.height],
@@ -191,6 +193,7 @@ def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: boo
         claims = [run.claim for run in runs]
         attacks[trial.label] = {
             "z": min(claim.z for claim in claims),
+            "usual_z": statistics.fmean(claim.z for claim in claims),
             "bit_accuracy": min(claim.bit_accuracy for claim in claims),
             "matching": sum(claim.matching_bits for claim in claims),
             "read": sum(claim.bits for claim in claims),
@@ -200,8 +203,9 @@ def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: boo
 
 
 def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
-    """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
+    """What a mark on the unpruned model promises, planned on small views of the key."""
     small = replace(config, view_size=CONFIG.auto.view_size)
     whole = replace(small, prune=replace(small.prune, budget_db=None))
     ground = lay_groundwork(model, key, original_sha256, whole)
-    return Rehearsing(deliver(ground, whole, Clock())).at(whole)
+    draft = Draft(deliver(ground, whole, Clock()), PLAIN, key, copied=False)
+    return Rehearsing(draft).at(draft.settle(whole))

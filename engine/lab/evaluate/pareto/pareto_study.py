@@ -52,7 +52,7 @@ def _cells(options: Options) -> list[Cell]:
 def _report(rows: list[Row], options: Options) -> Report:
     by_scene = grouped(rows, "scene")
     found = {scene: results(own) for scene, own in by_scene.items()}
-    known = [r for own in found.values() for r in own if r.row["predicted_worst_z"] is not None]
+    known = [r for own in found.values() for r in own if r.row["predicted_z"] is not None]
     first, main = next(iter(found.items()))
     published = read_published()
     sections = [
@@ -121,9 +121,9 @@ def _advice(scene: str, found: Sequence[Result]) -> tuple[str, dict[str, Any]]:
         words += (
             f" 'embed --profile auto' takes {choice['views']} views of {choice['view_size']} pixels and "
             f"{choice['psnr_db']:g} dB, {auto.embed_seconds:.1f} s: predicted z of a bad picture "
-            f"{choice['predicted_z']:.0f}, measured {auto.picture_z:.0f}, wanted {choice['wanted_z']:.0f}."
+            f"{choice['predicted_z']:.0f}, measured {auto.usual_picture_z:.0f}, wanted {choice['wanted_z']:.0f}."
         )
-        kept["auto"] = {**choice, "seconds": auto.embed_seconds, "measured_z": auto.picture_z}
+        kept["auto"] = {**choice, "seconds": auto.embed_seconds, "measured_z": auto.usual_picture_z}
     return words, kept
 
 
@@ -172,19 +172,19 @@ def _bars(scene: str, found: Sequence[Result]) -> list[Bar]:
 
 
 def _prediction_section(known: Sequence[Result]) -> Section:
-    ratios = [r.picture_z / r.row["predicted_worst_z"] for r in known]
+    ratios = [r.usual_picture_z / r.row["predicted_z"] for r in known]
     low, high = bootstrap(ratios)
     return Section(
         "What auto predicts, and what was measured",
         [
-            "A scene is rehearsed: its mark is planned on views of 256 pixels, without landmarks, and read from six "
-            "unseen views of 800 pixels at JPEG quality 10 (engine/flows/embed/auto_profile.py). What is "
-            "measured is the worse of two other unseen views, at JPEG quality 10 and with noise of std 0.1. "
+            "A scene is rehearsed: its mark is planned on small views and read from "
+            f"{CONFIG.rehearsal.held_out} unseen views of 800 pixels at JPEG quality 10 "
+            "(engine/flows/embed/auto_profile.py). What is measured is the mean of two other views at that quality. "
             f"Measured over predicted: {min(ratios):.2f} to {max(ratios):.2f} in {len(known)} settings, mean "
             f"{fmean(ratios):.2f} (95 %: {low:.2f} to {high:.2f})."
         ],
         drawings=[
-            Drawing("predicted", partial(draw_predictions, known), "Worst attacked picture's z: predicted, measured.")
+            Drawing("predicted", partial(draw_predictions, known), "z of a picture at JPEG 10: predicted, measured.")
         ],
     )
 

@@ -67,6 +67,11 @@ class Result:
         """z of the worst attacked picture."""
         return min(float(after["z"]) for after in self._attacked_pictures())
 
+    @property
+    def usual_picture_z(self) -> float:
+        """z of a picture at JPEG quality 10, mean of several: what a rehearsal promises."""
+        return float(self.attacks["picture, JPEG 10"]["usual_z"])
+
     def _attacked_pictures(self) -> list[Row]:
         return [after for label, after in self.attacks.items() if label.startswith("picture, ")]
 
