@@ -15,7 +15,7 @@ from engine.flows.embed import copy_mark as marking
 from engine.flows.embed.draws import Draws
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import Fidelity
-from engine.flows.embed.profiles import profile
+from engine.flows.embed.profiles import compose, profile
 from engine.flows.records.draw import DRAWN, STAMPS, draw_request, stamps_in, terms_of
 from engine.flows.records.opened_record import open_attested, open_record
 from engine.flows.verify.search import VerifyConfig, verify_model
@@ -178,6 +178,18 @@ def test_copies_share_what_was_drawn_once(small_plant: GaussianModel, first: Emb
             stamp=drawer,
             earlier=first.record,
         )
+
+
+def test_copies_have_the_settings_of_the_first_where_none_are_named(
+    small_plant: GaussianModel, first: Embedding, drawer: Drawer
+) -> None:
+    """Else `auto`, or the default of another version, would refuse copies of what was marked before."""
+    about = {"original_sha256": "11" * 32, "copy": "d", "bits": 16, "stamp": drawer, "earlier": first.record}
+    again = embed(small_plant, KEY, config=compose("auto"), **about)
+    assert again.record.extra["settings"] == first.record.extra["settings"]
+    np.testing.assert_array_equal(again.record.plan_arrays["amplitudes"], first.record.plan_arrays["amplitudes"])
+    with pytest.raises(InputError, match="marked before"):
+        embed(small_plant, KEY, config=compose("auto", psnr_db=44.0), **about)
 
 
 @pytest.mark.parametrize("drawn", ["", "cd" * 32])

@@ -10,7 +10,7 @@ from engine.flows.records.draw import DRAWN, draw_request, stamps_in, terms_of
 from engine.records.record import Plan, Record
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["SECOND_WATERMARK", "Draws", "Stamp", "second_watermark", "shares_layer"]
+__all__ = ["SECOND_WATERMARK", "Draws", "Stamp", "is_copy_of", "second_watermark", "shares_layer"]
 
 Stamp = Callable[[bytes], bytes]
 """Asks a time-stamping service for a stamp (reply, DER) of these bytes, and raises where there is none."""
@@ -61,6 +61,12 @@ def shares_layer(earlier: Record, reference_digest: bytes, key: OwnerKey) -> boo
     header = earlier.header
     same = (header.reference_digest, header.owner) == (reference_digest.hex(), key.fingerprint)
     return same and header.format_version >= 3
+
+
+def is_copy_of(earlier: Record, original_sha256: str, key: OwnerKey) -> bool:
+    """Whether that record is of a copy of this file, with a layer that further copies must share."""
+    header = earlier.header
+    return (header.original_digest, header.owner) == (original_sha256, key.fingerprint) and header.format_version >= 3
 
 
 def second_watermark(earlier: Record) -> InputError:

@@ -23,7 +23,7 @@ from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import make_mark
 from engine.flows.embed.delivery import Pruned, deliver
 from engine.flows.embed.draft import Draft
-from engine.flows.embed.draws import SECOND_WATERMARK, second_watermark, shares_layer
+from engine.flows.embed.draws import SECOND_WATERMARK, is_copy_of, second_watermark, shares_layer
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
@@ -156,6 +156,8 @@ def _prepare(
     """Everything up to the recipient's own part."""
     config, variant = terms.config, terms.variant
     choice: Choice | None = None
+    if isinstance(config, Auto) and terms.earlier is not None and is_copy_of(terms.earlier, original_sha256, key):
+        config = config.as_earlier(EmbedConfig.from_json(terms.earlier.extra["settings"]))
     if isinstance(config, Auto) and variant.at_view is not None:
         raise InputError("a variant that moves is not rehearsed: name its settings instead of 'auto'")
     start = config.start if isinstance(config, Auto) else config or EmbedConfig()

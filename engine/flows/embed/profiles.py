@@ -1,8 +1,9 @@
 """Settings of an embedding: three named points on one curve of speed against accuracy (DESIGN 10), and the paper's."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from operator import attrgetter
+from typing import Any, Self
 
 from engine.compress.hvq import HvqConfig
 from engine.compress.pruning import PruneConfig
@@ -96,6 +97,12 @@ class EmbedConfig:
             del plain["paper"]
         return plain
 
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> Self:
+        """Of a record; what it does not name is as by default."""
+        made: Self = _filled(cls(), plain)
+        return made
+
 
 PAPER = EmbedConfig(
     # Of the mark alone (zeta scales a unit that the paper does not name): with pruning and codes some 30 dB are left in
@@ -172,6 +179,12 @@ class Auto:
             raise InputError(f"a scene that moves is not rehearsed: survive={self.survive!r} cannot be kept")
         return self.start if "views" in self.kept else replace(self.start, views=PROFILES["balanced"].views)
 
+    def as_earlier(self, earlier: EmbedConfig) -> "EmbedConfig | Auto":
+        """The settings of an earlier copy, which copies share, unless the owner named others."""
+        named = self.kept | ({"prune.budget_db"} if self.start.prune.budget_db is not None else set())
+        alike = all(attrgetter(knob)(self.start) == attrgetter(knob)(earlier) for knob in named)
+        return earlier if alike else self
+
 
 Settings = EmbedConfig | Auto
 """The settings of an embedding, or how to choose them."""
@@ -211,6 +224,20 @@ def compose(
         return config
     named = {knob.partition("=")[0] for knob in knobs} | set(changes)
     return Auto(config, survive or "pictures", frozenset(named))
+
+
+def _filled(config: Any, plain: Mapping[str, Any]) -> Any:
+    """A configuration with the values of a plain one, stages within stages."""
+    changes: Json = {}
+    for each in fields(config):
+        if each.name in plain:
+            now, value = getattr(config, each.name), plain[each.name]
+            changes[each.name] = _filled(now, value) if is_dataclass(now) else _as_kept(value)
+    return replace(config, **changes)
+
+
+def _as_kept(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def delivered_as(settings: Settings | None, format: str) -> Settings | None:
