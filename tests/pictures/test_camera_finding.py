@@ -184,7 +184,7 @@ def test_other_pictures_are_not_recognised(plant: GaussianModel, bank: Landmarks
 
 @pytest.mark.parametrize("shape", [(360, 480), (360, 480, 4), (8, 480, 3)])
 def test_unusable_pictures_are_refused(plant: GaussianModel, bank: Landmarks, shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="a picture is"):
+    with pytest.raises(InputError, match="three colors are needed"):
         find_camera(bank, plant, np.zeros(shape, dtype=np.float32))
 
 

@@ -126,13 +126,17 @@ def test_a_model_whose_first_number_reads_like_another_file(api: Api, head: byte
     assert (info["kind"], info["format"], info["gaussians"]) == ("model", "splat", 3000)
 
 
+NOTHING = bytes(range(128, 205))
+"""That no kind of file begins with."""
+
+
 @pytest.mark.parametrize(
     ("name", "says"), [("room.psht", "Postshot"), ("a\\b\x07/scan.OBJ", "mesh"), ("x.ply", "none of")]
 )
 def test_the_ending_of_an_uploads_name_is_known_to_its_reader(api: Api, name: str, says: str) -> None:
     """Of bytes that tell nothing, the name is all that there is."""
     slot = api.client.post("/v1/uploads", json={"name": name}).json()["id"]
-    answer = api.client.put(f"/v1/uploads/{slot}", content=bytes(77)).json()
+    answer = api.client.put(f"/v1/uploads/{slot}", content=NOTHING).json()
     assert answer["type"].endswith("unreadable-model")
     assert says in answer["detail"]
 
@@ -140,7 +144,7 @@ def test_the_ending_of_an_uploads_name_is_known_to_its_reader(api: Api, name: st
 def test_the_reader_in_a_job_knows_the_name(api: Api, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """What is too large to be looked at on arrival is read by its job for the first time."""
     monkeypatch.setattr(ingest, "INSPECTED_BYTES", 0)
-    files = {"model": ("room.psht", bytes(77))}
+    files = {"model": ("room.psht", NOTHING)}
     job = api.client.post("/v1/embed", data={"key_id": api.key()}, files=files).json()["id"]
     (row,) = api.service.db.query(sa.select(jobs).where(jobs.c.id == job)).all()
     run = SimpleNamespace(folder=tmp_path)
