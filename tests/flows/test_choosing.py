@@ -111,6 +111,7 @@ def test_models_alone_need_no_pictures(few: GaussianModel) -> None:
     assert made.config.psnr_db == 47.0
 
 
+@pytest.mark.long
 def test_the_worst_picture_shows_less_than_the_usual_one(few: GaussianModel) -> None:
     found = {}
     for survive in ("pictures", "worst"):
@@ -133,7 +134,7 @@ def test_a_promise_is_what_the_reader_finds(few: GaussianModel) -> None:
     made = embed(few, key, original_sha256=DIGEST, bits=16, config=Auto(profile("fast", landmark_views=0)))
     opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
     found = []
-    for camera in other_views(few, 3, 800, (3, 1)):
+    for camera in other_views(few, 2, 800, (3, 1)):
         picture = image_attack("jpeg").apply(to_8_bit(render(made.model, camera)), 10, rng=np.random.default_rng(0))
         found.append(verify_images([to_8_bit(picture)], opened, VerifyConfig(), cameras=[camera]).claim.z)
     assert made.report.choice is not None

@@ -107,6 +107,7 @@ def test_kept_whole_where_no_smaller_file_does(rough: GaussianModel, monkeypatch
     assert (found.spent.sh_degree, found.config.prune.budget_db, len(found.draft.delivery.model)) == (None, None, whole)
 
 
+@pytest.mark.long
 def test_where_evidence_is_short_a_tenth_of_it_may_go(rough: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = len(rough)
     for left, degree in ((4.51, 0), (4.49, None)):
