@@ -6,8 +6,7 @@ public key. Views that no key view was are then rendered large, spoilt, and read
 reader loses, the promise lacks, too: nothing is modeled.
 
 Where the owner allows a loss (a pruning budget), every way of spending it (`ways`) is rehearsed, too, smallest file
-first. The same functions serve `mark3dgs evaluate --suite pareto`, which holds every promise against what was
-measured.
+first. `mark3dgs evaluate --suite promises` holds every promise against what pictures show.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +22,7 @@ from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import as_a_copy
 from engine.flows.embed.delivery import deliver
 from engine.flows.embed.draft import Draft
+from engine.flows.embed.layer_strengths import Settled
 from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.variant import PLAIN, Variant
@@ -39,9 +38,6 @@ from engine.watermark.image_evidence import layer_evidence
 from engine.watermark.keys import OwnerKey
 from engine.watermark.spreading import ONE_BIT, grain_key, spread, spread_grain
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, signed_z, z_threshold
-
-if TYPE_CHECKING:
-    from engine.flows.embed.layer_strengths import Settled
 
 __all__ = ["Choice", "Rehearsal", "Rehearsing", "choose", "wanted_z", "ways"]
 
@@ -209,7 +205,7 @@ def wanted_z(bits: int, survive: str = "pictures") -> float:
     """
     if survive == "model":
         return 0.0
-    needed = z_threshold(DISHONEST_CLAIMANT_RATE), (WATERMARK.planning.bit_z + 0.2) * float(np.sqrt(bits))
+    needed = z_threshold(DISHONEST_CLAIMANT_RATE), (WATERMARK.planning.bit_z + 0.2) * math.sqrt(bits)
     return _CONFIG.margin * max(needed)
 
 

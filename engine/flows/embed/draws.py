@@ -58,15 +58,16 @@ class Draws:
 
 def shares_layer(earlier: Record, reference_digest: bytes, key: OwnerKey) -> bool:
     """Whether copies of this reference must have the owner's layer of that record; before format 3 there was none."""
-    header = earlier.header
-    same = (header.reference_digest, header.owner) == (reference_digest.hex(), key.fingerprint)
-    return same and header.format_version >= 3
+    return earlier.header.reference_digest == reference_digest.hex() and _has_layer(earlier, key)
 
 
 def is_copy_of(earlier: Record, original_sha256: str, key: OwnerKey) -> bool:
     """Whether that record is of a copy of this file, with a layer that further copies must share."""
-    header = earlier.header
-    return (header.original_digest, header.owner) == (original_sha256, key.fingerprint) and header.format_version >= 3
+    return earlier.header.original_digest == original_sha256 and _has_layer(earlier, key)
+
+
+def _has_layer(earlier: Record, key: OwnerKey) -> bool:
+    return earlier.header.owner == key.fingerprint and earlier.header.format_version >= 3
 
 
 def second_watermark(earlier: Record) -> InputError:

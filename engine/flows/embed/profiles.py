@@ -232,12 +232,10 @@ def _filled(config: Any, plain: Mapping[str, Any]) -> Any:
     for each in fields(config):
         if each.name in plain:
             now, value = getattr(config, each.name), plain[each.name]
-            changes[each.name] = _filled(now, value) if is_dataclass(now) else _as_kept(value)
+            if is_dataclass(now):
+                value = _filled(now, value)
+            changes[each.name] = tuple(value) if isinstance(now, tuple) else value
     return replace(config, **changes)
-
-
-def _as_kept(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def delivered_as(settings: Settings | None, format: str) -> Settings | None:

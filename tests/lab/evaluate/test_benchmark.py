@@ -127,7 +127,7 @@ def test_an_own_method_goes_through_every_attack(tmp_path: Path) -> None:
     assert found["model", "prune random 20 %"][1] in ("removed", "ruined")
     assert found["image", "JPEG 10"] == (None, None)
     report = benchmark.STUDY.report(rows, options)
-    # Whoever remembers the message claims everything: the benchmark says so, first.
+    # This method knows the message and claims unmarked models. The benchmark reports that first.
     (bar,) = report.bars
     assert (bar.met, bar.measured) == (False, "2 of 2; unmarked model; another owner's model")
     (totals,), (lines,) = (section.tables for section in report.sections)
