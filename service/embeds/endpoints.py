@@ -51,7 +51,7 @@ class EmbedRequest(RequestBody):
     )
     profile: Literal["fast", "balanced", "strong", "auto", "paper", "paper-appendix"] = Field(
         "auto",
-        description="auto: no more than the scene needs; fast to strong: more evidence, more time; paper: as published.",
+        description="auto: no more than the scene needs; fast to strong: more evidence, more time; paper: as printed.",
     )
     survive: Literal["model", "pictures", "worst"] | None = Field(
         None, description="auto: what must show the mark: one JPEG-10 picture (default), the worst one, models alone."
