@@ -1,4 +1,4 @@
-"""Tasks of `service.work` in processes of their own, with limits; one such process stands ready."""
+"""Tasks of `service.work` in processes of their own, with limits; one stands ready, of which they are forked."""
 
 from __future__ import annotations
 
@@ -75,20 +75,57 @@ class Stopped(Exception):
     """This worker is being shut down; the task was killed and is to be done again elsewhere."""
 
 
+class _Process:
+    """A process that does a task, or forks one for each, and what it says."""
+
+    def __init__(self, popen: subprocess.Popen[bytes]) -> None:
+        self.popen, self.lines = popen, queue.Queue[bytes]()
+        self.reusable = False  # its fork answered and is gone
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def tell(self, line: bytes) -> None:
+        """BrokenPipeError where it is gone."""
+        stdin = _pipe(self.popen.stdin)
+        stdin.write(line)
+        stdin.flush()
+
+    def kill(self) -> None:
+        """With all it started. Its pipes close with it."""
+        if self.popen.returncode is None:  # once reaped, its number may be another's
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.popen.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """Kill it and wait for its end."""
+        self.kill()
+        self.popen.wait()
+        for pipe in (self.popen.stdin, self.popen.stdout):
+            with suppress(OSError):
+                _pipe(pipe).close()
+
+    def _read(self) -> None:
+        """Lines of the process; an empty one is the end."""
+        with suppress(OSError, ValueError):  # closed under our hands once the process is done with
+            while line := _pipe(self.popen.stdout).readline(MAX_LINE_BYTES):
+                self.lines.put(line)
+        self.lines.put(b"")
+
+
 class Children:
-    """Runs tasks one after another, each in a fresh process (`command` starts it), and keeps one warm for the next."""
+    """Runs tasks one after another, each in a fresh process: one that `command` starts, or a fork of it once it has
+    everything loaded."""
 
     def __init__(self, limits: Limits, command: Sequence[str] = COMMAND) -> None:
         self._limits, self._command = limits, tuple(command)
         self._lock = threading.Lock()
-        self._spare: subprocess.Popen[bytes] | None = None
-        self._running: subprocess.Popen[bytes] | None = None
+        self._spare: _Process | None = None
+        self._running: _Process | None = None
         self._stopped = False
 
     def prepare(self) -> None:
         """Have a process ready for the next task; imports and kernels are loaded in idle time."""
         with self._lock:
-            if not self._stopped and (self._spare is None or self._spare.poll() is not None):
+            if not self._stopped and (self._spare is None or self._spare.popen.poll() is not None):
                 try:
                     self._spare = self._start()
                 except OSError as error:  # the next task reports it, if it is still true then
@@ -125,9 +162,9 @@ class Children:
             self._stopped = True
             for process in (self._running, self._spare):
                 if process is not None:
-                    _kill(process)
+                    process.kill()
 
-    def _take(self, line: bytes) -> subprocess.Popen[bytes]:
+    def _take(self, line: bytes) -> _Process:
         """The spare process or a new one, with the request sent."""
         while True:
             with self._lock:
@@ -135,35 +172,31 @@ class Children:
                     raise Stopped
                 fresh = self._spare is None
                 process = self._running = self._start() if self._spare is None else self._spare
-                self._spare = None
+                self._spare, process.reusable = None, False
             try:
-                stdin = _pipe(process.stdin)
-                stdin.write(line)
-                stdin.flush()
+                process.tell(line)
                 return process
             except BrokenPipeError:
-                _kill(process)
+                process.kill()
                 if fresh:
                     return process  # it died of itself; `_follow` says of what
                 # The spare had died while it waited, which is no fault of this task; take a new one.
 
-    def _follow(
-        self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool], answer: Answer | None
-    ) -> Reply:
-        lines: queue.Queue[bytes] = queue.Queue()
-        threading.Thread(target=_read, args=(process, lines), daemon=True).start()
+    def _follow(self, process: _Process, go_on: Callable[[str, float], bool], answer: Answer | None) -> Reply:
         started = looked = time.monotonic()
         stage, fraction = "", 0.0
         while True:
             with suppress(queue.Empty):
-                line = lines.get(timeout=max(0.0, looked + SECONDS_BETWEEN_LOOKS - time.monotonic()))
-                if not line:
-                    raise self._death(process)
-                said = _parse(line)
+                line = process.lines.get(timeout=max(0.0, looked + SECONDS_BETWEEN_LOOKS - time.monotonic()))
+                said: dict[str, Any] = _parse(line) if line else {"ended": None}
+                if "reply" in said or "error" in said:
+                    process.reusable = _ended_well(process)
                 if "reply" in said:
                     return dict(said["reply"])
                 if "error" in said:
                     raise _problem(said["error"])
+                if "ended" in said:
+                    raise self._death(process, said["ended"])
                 if "ask" in said:
                     _tell(process, answer, str(said["ask"]))
                 else:
@@ -176,13 +209,13 @@ class Children:
                 if now - started > self._limits.seconds:
                     raise Problem("engine-limit", f"the work gave no result within {self._limits.seconds} s")
 
-    def _death(self, process: subprocess.Popen[bytes]) -> Exception:
-        """Why a process ended without an answer."""
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_GOODBYE_SECONDS)
+    def _death(self, process: _Process, code: int | None) -> Exception:
+        """Why a process ended without an answer, with this status, or its own where it said none."""
+        if code is None:
+            with suppress(subprocess.TimeoutExpired):
+                code = process.popen.wait(_GOODBYE_SECONDS)
         if self._stopped:
             return Stopped()
-        code = process.returncode
         if code is not None and code < 0:
             name = signal.Signals(-code).name
             if name == "SIGXCPU":
@@ -196,23 +229,23 @@ class Children:
     def _end_running(self) -> None:
         with self._lock:
             process, self._running = self._running, None
+            if process is not None and process.reusable and not self._stopped:
+                self._spare, process = process, None
         if process is not None:
-            _kill(process)
-            process.wait()
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):
-                    _pipe(pipe).close()
+            process.close()
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> _Process:
         environment = {
             name: value for name, value in os.environ.items() if name in _ENVIRONMENT or name.startswith(_PREFIXES)
         }
-        return subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=environment,
-            start_new_session=True,  # a group of its own, killed as one
+        return _Process(
+            subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=environment,
+                start_new_session=True,  # a group of its own, killed as one
+            )
         )
 
 
@@ -285,18 +318,18 @@ def run_once(
             return None
 
 
-def _read(process: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
-    """Lines of a process; an empty one is the end."""
-    with suppress(OSError, ValueError):  # closed under our hands once the process is done with
-        while line := _pipe(process.stdout).readline(MAX_LINE_BYTES):
-            lines.put(line)
-    lines.put(b"")
+def _ended_well(process: _Process) -> bool:
+    """Whether a fork that answered is gone as it should be, so that the next request is read by the next one."""
+    try:
+        return bool(json.loads(process.lines.get(timeout=_GOODBYE_SECONDS)) == {"ended": 0})
+    except (queue.Empty, ValueError):
+        return False
 
 
 def _parse(line: bytes) -> dict[str, Any]:
     try:
         said = json.loads(line)
-        ends = {"reply", "error", "ask"}
+        ends = {"reply", "error", "ask", "ended"}
         if isinstance(said, dict) and (said.keys() & ends or said.keys() >= {"stage", "fraction"}):
             return said
     except ValueError:
@@ -305,28 +338,19 @@ def _parse(line: bytes) -> dict[str, Any]:
     raise Problem("internal", "the work sent a message that cannot be read")
 
 
-def _tell(process: subprocess.Popen[bytes], answer: Answer | None, question: str) -> None:
+def _tell(process: _Process, answer: Answer | None, question: str) -> None:
     """Answer a task's question; a task that is gone by then is found dead later."""
     if answer is None:
         raise Problem("internal", "the work asked a question, but this task has no answers")
     line = json.dumps({"answer": answer(question)}).encode() + b"\n"
     with suppress(BrokenPipeError):
-        stdin = _pipe(process.stdin)
-        stdin.write(line)
-        stdin.flush()
+        process.tell(line)
 
 
 def _problem(plain: Mapping[str, Any]) -> Problem:
     kind = str(plain.get("kind"))
     extra = {name: value for name, value in plain.items() if name not in ("kind", "detail")}
     return Problem(kind if kind in KINDS else "internal", str(plain.get("detail", "")), **extra)
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    if process.returncode is not None:  # reaped: its number may be another's by now
-        return
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:

@@ -1,6 +1,6 @@
 """The process side of one task: a request on standard input, JSON lines on standard output, then the end.
 
-Standard input stays open as long as the parent lives; when it ends, so does this process, whatever it is doing.
+Standard input stays open as long as the parent lives; when it ends, so does a task, whatever it is doing.
 
 What went wrong is reported to the parent as a kind of `service.problems`, a text and its numbers.
 """
@@ -11,6 +11,7 @@ import logging
 import os
 import queue
 import resource
+import select
 import signal
 import sys
 import tempfile
@@ -55,36 +56,61 @@ SECONDS_BETWEEN_LINES = 0.1
 PATIENCE_SECONDS = 0.05
 """A request that is there when the process starts is read within this time; else the process is one in waiting."""
 
+FORKS = sys.platform == "linux"
+"""Elsewhere system libraries may hang in a forked process."""
+
 _log = logging.getLogger(__name__)
 
 
 def serve(tasks: Mapping[str, Task], warm_up: Callable[[Callable[[], bool]], None]) -> None:
     """Do one task, and end the process. Where no request is there yet, `warm_up` makes ready what can be; it is given a
-    function that says whether a request has come by now, which needs only some of that."""
+    function that says whether a request has come by now, which needs only some of that. What is ready then does no task
+    itself: each is done by a fork of it."""
     out = _take_standard_output()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a core would hold the owner's key
     if PROMPT not in sys.argv:
         os.nice(NICENESS)
-    requests: queue.Queue[bytes] = queue.Queue()
-    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
     # No spare is kept for a user who waits: on a busy machine its request may come late, and is all it is to do.
-    patience = None if PROMPT in sys.argv else PATIENCE_SECONDS
-    try:
-        line = requests.get(timeout=patience)
-    except queue.Empty:
+    if PROMPT not in sys.argv and not _request_within(PATIENCE_SECONDS):
         out.write(json.dumps({"stage": "compile", "fraction": 0.0}) + "\n")  # read by who comes before it is done
         out.flush()
         try:
-            warm_up(lambda: not requests.empty())
+            warm_up(lambda: _request_within(0))
         except Exception:
             _log.exception("the warm-up failed; the task starts cold")
-        line = requests.get()
+        if FORKS:
+            _fork_for_each_request(out)
+    requests: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
+    line = requests.get()
     answer = _do(json.loads(line), tasks, _Lines(out, requests))
     out.write(json.dumps(answer) + "\n")
     out.flush()
     os._exit(0)  # nothing is left to tidy up, and tearing down the libraries takes half a second
+
+
+def _request_within(seconds: float | None) -> bool:
+    """Whether a request waits, which is left unread; None waits for one. Ends the process where the parent is gone."""
+    poll = select.poll()
+    poll.register(0, select.POLLIN)
+    events = poll.poll(None if seconds is None else 1000 * seconds)
+    if events and not events[0][1] & select.POLLIN:
+        os._exit(1)
+    return bool(events)
+
+
+def _fork_for_each_request(out: TextIO) -> None:
+    """Returns in a fork of this process, one for each request, which the fork reads: what is secret in it never comes
+    here. How the fork ended is said to the parent, who then may send the next request."""
+    while _request_within(None):
+        fork = os.fork()
+        if not fork:
+            return
+        ended = os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1])
+        out.write(json.dumps({"ended": ended}) + "\n")
+        out.flush()
 
 
 class _Lines:

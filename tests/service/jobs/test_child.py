@@ -59,22 +59,38 @@ def test_a_reply(children: Children, tmp_path: Path) -> None:
     assert reply["nice"] >= 5
 
 
-def test_every_task_has_a_fresh_process_and_one_stands_ready(children: Children, tmp_path: Path) -> None:
-    pids = {children.run("echo", {}, tmp_path)["pid"] for _ in range(3)}
-    assert len(pids) == 3
-    assert not any(alive(pid) for pid in pids)
+def test_every_task_has_a_fresh_process_forked_of_the_one_that_stands_ready(children: Children, tmp_path: Path) -> None:
+    children.prepare()
     spare = children._spare
     assert spare is not None
-    assert spare.poll() is None
-    assert children.run("echo", {}, tmp_path)["pid"] == spare.pid
+    while spare.lines.empty():  # until then it is done by that process itself
+        time.sleep(0.01)
+    replies = [children.run("echo", {}, tmp_path) for _ in range(3)]
+    assert {reply["parent"] for reply in replies} == {spare.popen.pid}
+    assert len({reply["pid"] for reply in replies}) == 3
+    assert not any(alive(reply["pid"]) for reply in replies)
+    assert children._spare is spare
+    children.stop()
+    assert gone_within(spare.popen.pid, 10.0)
+
+
+def test_a_fork_that_died_takes_the_ready_process_with_it(children: Children, tmp_path: Path) -> None:
+    """What it started lives in their group, and is killed with it."""
+    children.prepare()
+    spare = children._spare
+    assert spare is not None
+    with pytest.raises(Problem, match="SIGSEGV"):
+        children.run("die", {"signal": "SIGSEGV"}, tmp_path)
+    assert gone_within(spare.popen.pid, 10.0)
+    assert children._spare is not spare
 
 
 def test_a_spare_that_died_is_replaced(children: Children, tmp_path: Path) -> None:
     children.prepare()
     spare = children._spare
     assert spare is not None
-    os.kill(spare.pid, signal.SIGKILL)
-    spare.wait()
+    os.kill(spare.popen.pid, signal.SIGKILL)
+    spare.popen.wait()
     assert children.run("echo", {"n": 1}, tmp_path)["request"] == {"n": 1}
 
 

@@ -18,7 +18,7 @@ Request = Mapping[str, Any]
 def echo(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     progress("echoing", 0.5)
     (folder / "file").write_text("made")
-    return {"request": dict(request), "pid": os.getpid(), "nice": os.nice(0)}
+    return {"request": dict(request), "pid": os.getpid(), "parent": os.getppid(), "nice": os.nice(0)}
 
 
 def chat(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
