@@ -33,8 +33,8 @@ TASKS: Mapping[str, Task] = {
 
 
 def preload(wanted: Callable[[], bool]) -> None:
-    """Import what every task needs, and load its compiled kernels: a process in waiting, or a fork of it, starts
-    at once. Those that are not loaded by the time that it is `wanted` are loaded as they are needed; compiling is not broken off."""
+    """Import what every task needs, and load its compiled kernels: a fork of this process starts at once. Those that
+    are not loaded by the time that it is `wanted` are loaded as they are needed; compiling is not broken off."""
     from engine.flows.warmup.kernel_warmup import warm_up
     from service.work import disputes, embedding, files, screening, verification  # noqa: F401
 
