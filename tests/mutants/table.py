@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 TABLE = Path(__file__).with_name("table.toml")
@@ -55,12 +56,25 @@ def find(root: Path, mutant: Mutant) -> tuple[Path, int]:
 def mutated(root: Path, mutant: Mutant) -> tuple[Path, str]:
     """The file, relative to the root, and its text with the line changed."""
     path, index = find(root, mutant)
-    lines = (root / path).read_text(encoding="utf-8").split("\n")
+    lines = list(_lines(root / path))
     margin = len(lines[index]) - len(lines[index].lstrip())
     lines[index] = " " * margin + mutant.changed
     return path, "\n".join(lines)
 
 
 def _places(root: Path, path: Path, code: str) -> list[tuple[Path, int]]:
-    lines = (root / path).read_text(encoding="utf-8").split("\n")
-    return [(path, index) for index, line in enumerate(lines) if line.split("  # ")[0].strip() == code]
+    return [(path, index) for index in _indices(root / path).get(code, ())]
+
+
+@cache
+def _indices(path: Path) -> dict[str, list[int]]:
+    """Where each line stands, without its comment."""
+    places: dict[str, list[int]] = {}
+    for index, line in enumerate(_lines(path)):
+        places.setdefault(line.split("  # ")[0].strip(), []).append(index)
+    return places
+
+
+@cache
+def _lines(path: Path) -> tuple[str, ...]:
+    return tuple(path.read_text(encoding="utf-8").split("\n"))
