@@ -236,17 +236,27 @@ def test_leaving_without_an_answer_is_a_fault_of_ours(children: Children, tmp_pa
         children.run("leave", {}, tmp_path)
 
 
-def test_the_processes_die_with_their_parent(tmp_path: Path) -> None:
-    file = tmp_path / "pid"
+@pytest.mark.parametrize("task", ["nap", "echo"])
+def test_the_processes_die_with_their_parent(task: str, tmp_path: Path) -> None:
+    """While a task runs, and while one is waited for."""
+    file, ready = tmp_path / "pid", tmp_path / "ready"
     code = f"""
+import time
 from pathlib import Path
 from service.processes import Children, Limits
 from tests.service.jobs.toy_worker import CHILD
 children = Children(Limits(1 << 30, 60, 1 << 20), CHILD)
-children.run("nap", {{"pid_file": {str(file)!r}}}, Path({str(tmp_path)!r}))
+children.prepare()
+while children._spare.lines.empty():
+    time.sleep(0.01)
+Path({str(ready)!r}).write_text(str(children._spare.popen.pid))
+children.run({task!r}, {{"pid_file": {str(file)!r}}}, Path({str(tmp_path)!r}))
+Path({str(file)!r}).write_text("0")
+time.sleep(60)
 """
     parent = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[3])
     pid = pid_in(file)
     parent.kill()
     parent.wait()
-    assert gone_within(pid, 1.0)
+    assert not pid or gone_within(pid, 1.0)
+    assert gone_within(pid_in(ready), 10.0)
