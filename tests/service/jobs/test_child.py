@@ -237,8 +237,8 @@ def test_leaving_without_an_answer_is_a_fault_of_ours(children: Children, tmp_pa
 
 
 @pytest.mark.parametrize("task", ["nap", "echo"])
-def test_the_processes_die_with_their_parent(task: str, tmp_path: Path) -> None:
-    """While a task runs, and while one is waited for."""
+def test_the_processes_die_with_their_parent(task: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """While a task runs, and while one is waited for; in silence."""
     file, ready = tmp_path / "pid", tmp_path / "ready"
     code = f"""
 import time
@@ -260,3 +260,4 @@ time.sleep(60)
     parent.wait()
     assert not pid or gone_within(pid, 1.0)
     assert gone_within(pid_in(ready), 10.0)
+    assert not capfd.readouterr().err
