@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Protocol, TextIO
 
@@ -109,8 +110,9 @@ def _fork_for_each_request(out: TextIO) -> None:
         if not fork:
             return
         ended = os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1])
-        out.write(json.dumps({"ended": ended}) + "\n")
-        out.flush()
+        with suppress(BrokenPipeError):  # the parent is gone, which the next look finds
+            out.write(json.dumps({"ended": ended}) + "\n")
+            out.flush()
 
 
 class _Lines:
