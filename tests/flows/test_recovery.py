@@ -105,6 +105,15 @@ def test_no_more_goes_than_the_mark_can_spare(fewest: int, left: int) -> None:
     assert len(found.model) == len(found.kept) == left
 
 
+def test_where_no_fit_reaches_the_budget_nothing_goes() -> None:
+    """A decibel short is short; what the fits began with was allowed less."""
+    whole = dense(1500)
+    target = target_of(whole, 4)
+    impact, config = sum_squares(whole, target.cameras), PruneConfig(budget_db=30.0)
+    short = lambda model: 50.0 if len(model) == len(whole) else 29.0  # noqa: E731
+    assert len(prune_and_fit(whole, impact, short, 1.0, config, target, 300, tell).model) == len(whole)
+
+
 def test_the_same_bits_on_any_number_of_threads() -> None:
     whole = dense(1500, 1)
     thin, target = whole.take(np.arange(0, len(whole), 2)), target_of(whole, 4)
