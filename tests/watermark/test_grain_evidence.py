@@ -83,6 +83,19 @@ def test_formats_round_small_ones_away_and_large_ones_speak_on() -> None:
     assert z_of(evidence, signs) > 0.8 * np.sqrt(4.5 * 8_000)
 
 
+def test_what_is_usual_is_known_for_each_size() -> None:
+    """Rounding that drowns the mark of small Gaussians, and not so much that they are taken for lost."""
+    reference = blobs(8_000)
+    size = np.where(np.arange(8_000) % 2 == 0, -1.0, -3.0)
+    reference = reference.with_(log_scales=np.repeat(size[:, None], 3, axis=1).astype(np.float32))
+    signs = signs_for(reference)
+    rough = roughen(reference, GRAIN, signs)
+    evidence = read(reference, rough.with_(means=(np.round(rough.means / 0.03) * 0.03).astype(np.float32)))
+    size_of = np.abs(evidence.evidence).reshape(-1, 6)[:, :3]
+    assert np.median(size_of[::2]) > 1.5 * np.median(size_of[1::2])
+    assert z_of(evidence, signs) > 0.8 * np.sqrt(6 * 8_000)
+
+
 def test_what_was_thrown_far_says_nothing() -> None:
     reference = blobs(4_000)
     signs = signs_for(reference)
@@ -104,6 +117,7 @@ def test_copies_of_one_gaussian_are_one_witness() -> None:
     both, first = read(reference, noisy, rows=twice), read(reference, noisy.take(np.arange(1_000)))
     assert both.weights.max() <= 1.0 * 0.05 / 0.05**2
     assert z_of(both, signs) > 1.2 * z_of(first, signs)
+    assert np.abs(both.y).mean() < np.abs(first.y).mean(), "their mean, not their sum"
 
 
 def test_a_disc_has_five_chips() -> None:
