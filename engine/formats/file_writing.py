@@ -4,6 +4,7 @@ import os
 import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ def encode_model(model: GaussianModel, format: str) -> bytes:
 
 def loss_note(model: GaussianModel, format: str) -> list[str]:
     """What the format cannot hold of this model, in words."""
-    kind, notes = KIND_BY_NAME[format], []
+    chunked = replace(KIND_BY_NAME["sog"], name=format, rounded=None, step=None)  # levels: each chunk has its own range
+    kind, notes = KIND_BY_NAME.get(format, chunked), []
     if "harmonics" not in kind.holds and model.sh_degree > 0:
         notes.append(
             f".{format} stores no spherical harmonics: colour that changes with the view"
