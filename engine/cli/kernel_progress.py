@@ -3,9 +3,9 @@ engine.cli.kernel_progress` does nothing else, for all of them."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,10 +43,15 @@ def _stamp(work: str) -> str:
     return path_of(work, "stamp", sys.version, f"native {calls_native()}", *_sources())
 
 
-def _sources() -> Iterator[str]:
-    for source in sorted(_ENGINE.rglob("*.py")):
-        facts = source.stat()
-        yield f"{source.relative_to(_ENGINE)} {facts.st_mtime_ns} {facts.st_size}"
+def _sources() -> list[str]:
+    """Name, date and size of every module; by `os.walk`, which takes a third of `Path.rglob`'s time."""
+    start, facts = len(str(_ENGINE)), []
+    for place, _, names in os.walk(_ENGINE):
+        for name in names:
+            if name.endswith(".py"):
+                found = os.stat(f"{place}/{name}")
+                facts.append(f"{place[start:]}/{name} {found.st_mtime_ns} {found.st_size}")
+    return sorted(facts)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 One folder per format; what they share lies here: `guards` before anything is read, `repairs` after it is decoded.
 Nothing here renders; all rooms above may import it, most by the names below. Start at
-`model_reading.read_model`, then `repairs.clean`, which every reader ends in. A new format is a module and its line in
+`model_reading.read_model`, then `repairs.clean`, which every reader ends in. A new format is a module of
 `kinds`.
 """
 

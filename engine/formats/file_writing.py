@@ -2,26 +2,22 @@
 
 import os
 import secrets
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError, UnsupportedFormatError
-from engine.formats.kinds import FORMATS, KINDS, kind_of
+from engine.formats.declaration import Kind
+from engine.formats.kinds import FORMATS, KIND_BY_NAME, kind_of
 from engine.formats.modes import ANTIALIASED, mode_of
-from engine.formats.ply.compressed import rounded_positions
 from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING
-from engine.formats.spz.attributes import choose_fractional_bits
 from engine.formats.strays import unheld_rows
-from engine.model import SH_C0, Bool, Carried, Float32, Float64, GaussianModel
-
-_SAY_NOTHING = ("splat", "spz", "glb", "usda", "usdc", "usdz")
-"""Formats that cannot declare discs; all but SPZ, which has a bit, cannot declare antialiasing either."""
+from engine.model import Carried, GaussianModel
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
@@ -33,33 +29,35 @@ def encode_model(model: GaussianModel, format: str) -> bytes:
 
 def loss_note(model: GaussianModel, format: str) -> list[str]:
     """What the format cannot hold of this model, in words."""
-    notes = []
-    if format == "splat" and model.sh_degree > 0:
+    chunked = replace(KIND_BY_NAME["sog"], name=format, rounded=None, step=None)  # levels: each chunk has its own range
+    kind, notes = KIND_BY_NAME.get(format, chunked), []
+    if "harmonics" not in kind.holds and model.sh_degree > 0:
         notes.append(
-            ".splat stores no spherical harmonics: colour that changes with the view"
+            f".{format} stores no spherical harmonics: colour that changes with the view"
             f" (degree {model.sh_degree}) was dropped; the mark survives"
         )
-    if format in _SAY_NOTHING and model.is_flat:
-        thickness = "as thin as it allows" if format == "spz" else "of next to no thickness"
+    if "discs" not in kind.holds and model.is_flat:
+        bounded = any(each.name == "sizes" for each in kind.ranges)
+        thickness = "as thin as it allows" if bounded else "of next to no thickness"
         notes.append(
             f".{format} has three scales: the discs of this 2DGS model were written as Gaussians {thickness},"
             " and other programs draw them as such; .ply keeps two scales; the mark survives"
         )
-    if format in _SAY_NOTHING and format != "spz" and mode_of(model) == ANTIALIASED:
+    if "antialiasing" not in kind.holds and mode_of(model) == ANTIALIASED:
         notes.append(
             f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
             " far too heavily unless set to it; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
-    if model.carried is not None and format != "ply":
-        notes += _dropped(model.carried, format)
-    if any(model.origin) and format != "ply":
+    if model.carried is not None:
+        notes += _dropped(model.carried, kind)
+    if any(model.origin) and "origin" not in kind.holds:
         x, y, z = model.origin
         notes.append(
             f".{format} rounds centers in map coordinates (float32 by up to {_coarse(model):.2g}): they were written"
             f" relative to ({x:.0f}, {y:.0f}, {z:.0f}), which is not in the file; .ply keeps it"
         )
-    unheld = unheld_rows(model, format)
-    notes += losses(model.take(~unheld) if unheld.any() else model, format)
+    unheld = unheld_rows(model, kind)
+    notes += _losses(model.take(~unheld) if unheld.any() else model, kind)
     strays = np.flatnonzero(unheld)
     if len(strays):
         far = float(np.abs(model.means[strays]).max())
@@ -71,17 +69,17 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
     return notes
 
 
-def _dropped(carried: Carried, format: str) -> list[str]:
+def _dropped(carried: Carried, kind: Kind) -> list[str]:
     parts = [
         f"{len(names)} {noun if len(names) == 1 else plural}{there}"
         for noun, plural, names, there in (
             ("property", "properties", carried.names, f" ({named(carried.names)})"),
-            ("comment", "comments", () if format == "compressed.ply" else carried.comments, ""),
+            ("comment", "comments", carried.comments, ""),
         )
-        if names
+        if names and plural not in kind.holds
     ]
     found = " and ".join(parts)
-    return [f".{format} has no place for what is no Gaussian's: {found} dropped; .ply keeps it"] if found else []
+    return [f".{kind.name} has no place for what is no Gaussian's: {found} dropped; .ply keeps it"] if found else []
 
 
 def _coarse(model: GaussianModel) -> float:
@@ -126,87 +124,28 @@ def write_whole(path: str | os.PathLike[str], pieces: Iterable[bytes]) -> int:
 def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
     if len(model) == 0:
         raise InputError("the model holds no Gaussians: there is nothing to write")
-    for kind in KINDS:
-        if kind.name == format and kind.write:
-            unheld = unheld_rows(model, format)
-            return kind.write(model.take(~unheld) if unheld.any() else model)
-    raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")
+    kind = KIND_BY_NAME.get(format)
+    if kind is None or kind.write is None:
+        raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")
+    unheld = unheld_rows(model, kind)
+    return kind.write(model.take(~unheld) if unheld.any() else model)
 
 
-@dataclass(frozen=True)
-class _Range:
-    """What a format holds of an attribute, and in which steps, in the units of the values."""
-
-    name: str
-    values: Callable[[GaussianModel], Float32]  # (N, ...)
-    low: float
-    high: float
-    step: float  # twice what it rounds by within its range
-
-    def beyond(self, model: GaussianModel) -> Bool:
-        """(N,) which Gaussians are clipped by more than rounding."""
-        values = self.values(model).reshape(len(model), -1)
-        if not values.shape[1]:
-            return np.zeros(len(model), dtype=np.bool_)
-        low, high = self.low - self.step / 2, self.high + self.step / 2
-        return np.asarray((values.min(axis=1) < low) | (values.max(axis=1) > high))
-
-
-def _dc(model: GaussianModel) -> Float32:
-    return model.sh[:, 0]
-
-
-def _rest(model: GaussianModel) -> Float32:
-    return model.sh[:, 1:]
-
-
-def _sizes(model: GaussianModel) -> Float32:
-    return model.log_scales
-
-
-_RANGES = {
-    "splat": (_Range("colors", _dc, -0.5 / SH_C0, 0.5 / SH_C0, 1 / 255 / SH_C0),),
-    "spz": (
-        _Range("colors", _dc, -0.5 / 0.15, 0.5 / 0.15, 1 / 255 / 0.15),
-        _Range("sizes", _sizes, -10.0, 255 / 16 - 10, 1 / 16),
-        _Range("harmonics", _rest, -1.0, 1.0, 1 / 64),
-    ),
-    "compressed.ply": (_Range("sizes", _sizes, -20.0, 20.0, 0.0), _Range("harmonics", _rest, -4.0, 4.0, 1 / 16)),
-}
-
-
-def losses(model: GaussianModel, format: str) -> Iterator[str]:
+def _losses(model: GaussianModel, kind: Kind) -> Iterator[str]:
     """A sentence on each kind of loss beyond rounding, with the number of Gaussians and the first one's row."""
-    for each in _RANGES.get(format, ()):
+    for each in kind.ranges:
         rows = np.flatnonzero(each.beyond(model))
         if len(rows):
-            yield f"{_counted(model, rows)}: {each.name} beyond the range of .{format} were clipped"
-    if format in _ROUNDED:
-        error = np.abs(_ROUNDED[format](model.means).astype(np.float32) - model.means).max(axis=1)
+            yield f"{_counted(model, rows)}: {each.name} beyond the range of .{kind.name} were clipped"
+    if kind.rounded:
+        error = np.abs(kind.rounded(model.means).astype(np.float32) - model.means).max(axis=1)
         size = np.exp(np.median(model.log_scales, axis=1).astype(np.float64))  # of a disc, within its plane
         rows = np.flatnonzero(error > VISIBLE_ROUNDING * size)
         if len(rows):
             most = f"up to {error[rows].max():.2g}, more than 1/20 of their size"
-            yield f"{_counted(model, rows)}: .{format} rounds their centers by {most}"
+            yield f"{_counted(model, rows)}: .{kind.name} rounds their centers by {most}"
 
 
 def _counted(model: GaussianModel, rows: npt.NDArray[np.intp]) -> str:
     noun = "Gaussian" if len(rows) == 1 else "Gaussians"
     return f"{len(rows):,} {noun} (first in row {model.row_of(int(rows[0]))})"
-
-
-def _spz(means: Float32) -> Float64:
-    steps = 2.0 ** choose_fractional_bits(means)
-    return np.asarray(np.rint(means.astype(np.float64) * steps) / steps)
-
-
-def _sog(means: Float32) -> Float64:
-    from engine.formats.sog.encoding import position_codes
-
-    codes, mins, maxs = position_codes(means)
-    bent = mins + codes / 65535.0 * (maxs - mins)
-    return np.asarray(np.sign(bent) * np.expm1(np.abs(bent)))
-
-
-_ROUNDED = {"spz": _spz, "sog": _sog, "compressed.ply": rounded_positions}
-"""Centers as the formats of one range for many rows hold them."""

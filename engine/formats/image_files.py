@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageChops, ImageCms, ImageOps
 
 from engine.errors import FormatError, InputError
-from engine.formats.splat import looks_like_splat
+from engine.formats.kinds.splat import looks_like_splat
 from engine.model import Float32
 
 MAX_PICTURE_PIXELS = 64_000_000

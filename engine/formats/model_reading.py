@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.declaration import Kind, Read
 from engine.formats.guards import opening, read_regular
-from engine.formats.kinds import KINDS, READ, SPLAT, Kind, Read
+from engine.formats.kinds import KINDS, READ
+from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
 from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
-from engine.formats.splat import RECORD, looks_like_splat
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"

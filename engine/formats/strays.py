@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from engine.formats.declaration import Kind
 from engine.formats.repairs import VISIBLE_ROUNDING
-from engine.formats.spz.attributes import choose_fractional_bits
-from engine.model import Bool, Float32, Float64, GaussianModel
+from engine.model import Bool, Float32, GaussianModel
 
 __all__ = ["stray_rows", "unheld_rows"]
 
@@ -24,31 +24,11 @@ def stray_rows(means: Float32) -> Bool:
     return np.asarray((distance > STRAY_DISTANCE * extent) & (extent > 0))
 
 
-def unheld_rows(model: GaussianModel, format: str) -> Bool:
+def unheld_rows(model: GaussianModel, kind: Kind) -> Bool:
     """(N,) the strays that a format cannot hold without rounding the others by more than `VISIBLE_ROUNDING`."""
-    strays = stray_rows(model.means) if format in _STEPS else np.zeros(len(model), dtype=np.bool_)
-    if strays.any():
+    strays = stray_rows(model.means) if kind.step else np.zeros(len(model), dtype=np.bool_)
+    if kind.step and strays.any():
         size = float(np.exp(np.median(model.log_scales[~strays].astype(np.float64).mean(axis=1))))
-        if _STEPS[format](model.means.astype(np.float64)) / 2 <= VISIBLE_ROUNDING * size:
+        if kind.step(model.means.astype(np.float64)) / 2 <= VISIBLE_ROUNDING * size:
             strays[:] = False
     return strays
-
-
-def _spz_step(means: Float64) -> float:
-    return 2.0 ** -choose_fractional_bits(means.astype(np.float32))
-
-
-def _sog_step(means: Float64) -> float:
-    """At the median center, on the axis of the widest range; see `engine.formats.sog.encoding.position_codes`."""
-    bent = np.sign(means) * np.log1p(np.abs(means))
-    steps = np.ptp(bent, axis=0) / 65535 * (1 + np.abs(np.median(means, axis=0)))
-    return float(steps.max())
-
-
-def _chunk_step(means: Float64) -> float:
-    """Of the chunk of a compressed PLY that holds the stray."""
-    return float(np.ptp(means, axis=0).max()) / 2047
-
-
-_STEPS = {"spz": _spz_step, "sog": _sog_step, "compressed.ply": _chunk_step}
-"""Step of the centers, scene units, of the formats that have one range for many."""

@@ -98,13 +98,15 @@ def register(
     """
     index = reference if isinstance(reference, ReferenceIndex) else ReferenceIndex(reference)
     seen = drawn(suspect)
+    rng, hands = np.random.default_rng(seed), Hands(suspect)
     if seen.all() or len(index.model) < 3:
-        return _register(index, suspect, seed, config, budget)[0]
+        return _register(index, hands, rng, config, budget)[0]
     as_many = len(index.model) == len(suspect) >= 3
-    if as_many and in_order(index, Hands(suspect), BOTH, np.random.default_rng(seed)) is not None:
-        # Without some rows the order would be lost.
-        return _without_undrawn(index, seen, _register(index, suspect, seed, config, budget)[0])
-    found, verdict = _register(index, suspect.take(seen), seed, config, budget)
+    known = in_order(index, hands, BOTH, rng) if as_many else None
+    if known is not None:  # without some rows the order would be lost
+        return _without_undrawn(index, seen, _register(index, hands, rng, config, budget, known)[0])
+    rng = np.random.default_rng(seed)
+    found, verdict = _register(index, Hands(suspect.take(seen)), rng, config, budget)
     found = replace(found, hypotheses_tried=found.hypotheses_tried + as_many)
     return _with_undrawn(index, suspect, seen, found, verdict)
 
@@ -150,15 +152,21 @@ def _with_undrawn(
 
 
 def _register(
-    index: ReferenceIndex, suspect: GaussianModel, seed: int, config: RegistrationConfig, budget: TimeBudget
+    index: ReferenceIndex,
+    hands: Hands,
+    rng: np.random.Generator,
+    config: RegistrationConfig,
+    budget: TimeBudget,
+    known: Verdict | None = None,
 ) -> tuple[Registration, Verdict | None]:
-    """The registration, and by what its Gaussians were matched, where each is one of the reference's."""
-    n, m = len(index.model), len(suspect)
+    """The registration, and by what its Gaussians were matched, where each is one of the reference's; `known`: what
+    `locate` would find first."""
+    n, m = len(index.model), len(hands.suspect)
     if n < 3 or m < 3:
         return _nothing(m, 1), None
-    rng = np.random.default_rng(seed)
-    hands = Hands(suspect)
-    verdict, tried = locate(index, hands, rng, colorless=config.colorless, budget=budget)
+    verdict, tried = known, 1
+    if known is None:
+        verdict, tried = locate(index, hands, rng, colorless=config.colorless, budget=budget)
     either: list[tuple[Registration, Verdict | None]] = [(_nothing(m, tried), None)]
     if verdict is not None:
         either = [_answer(index, hands, verdict, tried, rng)]

@@ -25,8 +25,8 @@ from engine.flows.embed.variant import Variant
 from engine.flows.progress import Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
+from engine.flows.verify.gaussian_evidence import derivation_of_model
 from engine.flows.verify.search import Verification, count_tries, verify_images, verify_model
-from engine.flows.verify.suspect_evidence import derivation_of_model
 from engine.flows.views.camera_rig import GOLDEN_ANGLE, make_rig
 from engine.flows.views.config import CONFIG
 from engine.model import Camera, Float32, GaussianModel, Int64

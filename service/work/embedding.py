@@ -60,7 +60,8 @@ def embed_mark(request: Request, folder: Path, progress: Parent) -> Reply:
     made.output.model.rename(folder / files["model"])
     progress("picture", 0.0)
     drawing = time.perf_counter()
-    (folder / files["sketch"]).write_bytes(Entry(make_sketch(marked.model), marked.seen).to_bytes())
+    seen = None if marked.bank is None else marked.bank.seen
+    (folder / files["sketch"]).write_bytes(Entry(make_sketch(marked.model), seen).to_bytes())
     draw_preview(folder / files["preview"], made.loaded.model, marked.model)
     picture = time.perf_counter() - drawing
     report = made.report.to_json() | {"format_out": kind}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.flows.verify.suspect_evidence import derivation_of_model
+from engine.flows.verify.gaussian_evidence import derivation_of_model
 from engine.model import GaussianModel
 from engine.registration.registration_search import register
 

@@ -108,7 +108,7 @@ def test_a_later_copy_takes_the_landmarks_of_an_earlier_ones_record(
     assert (again, 3) == record("b", 3)
     half = quick(small_plant.take(np.arange(0, len(small_plant), 2)), landmark_views=3, earlier=opened)
     assert drawn == [3]  # of another model
-    assert half.seen is not None
+    assert half.bank is not None
 
 
 def test_copies_share_a_bank_whatever_made_it(small_plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:

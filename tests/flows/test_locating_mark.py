@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from engine.flows.regions.region_search import RegionReport, describe, locate_mark
+from engine.flows.verify.gaussian_evidence import read_gaussians
 from engine.flows.verify.search import Suspect, Verification, verify
-from engine.flows.verify.suspect_evidence import read_gaussians
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.model import ATTRIBUTES, GaussianModel

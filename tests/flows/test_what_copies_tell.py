@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from engine.compress.cells import cell_features
-from engine.flows.embed.copy_mark import owner_displacements
+from engine.flows.records.opened_record import owner_displacements
 from engine.flows.views.camera_rig import measure_extent
 from engine.model import Bool, Float64
 from tests.flows.conftest import FiveCopies

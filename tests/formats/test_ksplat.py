@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
-from engine.formats.ksplat import HEADER, SECTION_HEADER, looks_like_ksplat, read_ksplat
+from engine.formats.kinds.ksplat import HEADER, SECTION_HEADER, looks_like_ksplat, read_ksplat
 from engine.model import GaussianModel
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.ksplat_files import BLOCK, RANGE, in_file_order, ksplat_of, section_of

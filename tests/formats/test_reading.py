@@ -54,7 +54,7 @@ def test_the_name_is_what_messages_call_the_file() -> None:
 def test_other_formats_are_refused_by_name() -> None:
     with pytest.raises(UnsupportedFormatError, match=r"\.ksplat version 0\.0"):
         read_model(bytes(4096), name="Scene.KSPLAT")
-    with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, spz"):
+    with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: .*ply, compressed\.ply, .*spz"):
         read_model(b"hello\0", name="scene.ply")
 
 
@@ -161,7 +161,7 @@ NOISE = bytes(range(1, 98))
         (b"Kaydara FBX Binary  \0" + NOISE, "x", "is a mesh"),
         (NOISE, "part.STL", "is a mesh"),
         (b"7z\xbc\xaf\x27\x1c" + NOISE, "x", "packed archive"),
-        (NOISE, "scene.xyz2", "none of the formats read here: ply"),
+        (NOISE, "scene.xyz2", "none of the formats read here: .*ply"),
         (b'{"a": 1}', "x.json", "is text.*begins with '{\"a\": 1}'"),
         ("ply\nformat".encode("utf-16"), "x", "begins like a PLY"),
         (b"\0\5\x16\7" + NOISE, "._scene.ply", "of macOS"),

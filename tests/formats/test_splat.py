@@ -12,8 +12,8 @@ import pytest
 from engine.errors import FormatError
 from engine.formats import encode_model, read_model
 from engine.formats.image_files import is_picture
+from engine.formats.kinds.splat import RECORD, looks_like_splat, read_splat
 from engine.formats.repairs import INFINITE_OPACITY_LOGIT
-from engine.formats.splat import RECORD, looks_like_splat, read_splat
 from engine.model import SH_C0
 from engine.scenes.scene_files import read_scene
 from tests.formats.models import DATA, random_model

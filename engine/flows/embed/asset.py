@@ -8,14 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from engine.catalogue.entry import SeenPoints, see_points
 from engine.flows.embed.auto_profile import Choice
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import Committed, OwnerMark, make_owner_mark
 from engine.flows.embed.delivery import Delivery
 from engine.flows.embed.draft import Draft
 from engine.flows.embed.draws import Draws, shares_layer
-from engine.flows.embed.landmark_bank import bank_views, make_bank
+from engine.flows.embed.landmark_bank import Bank, bank_views, make_bank
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import Groundwork
 from engine.flows.embed.profiles import EmbedConfig
@@ -41,8 +40,7 @@ class Asset:
     settings: EmbedConfig  # the chosen ones, where that was left open
     choice: Choice | None
     draft: Draft
-    landmarks: Landmarks | None
-    seen: SeenPoints | None
+    bank: Bank | None
 
     @property
     def delivery(self) -> Delivery:
@@ -59,8 +57,8 @@ class Asset:
         earlier = terms.earlier
         shared = earlier if earlier is not None and shares_layer(earlier, digest, draft.key) else None
         draws = Draws(self.original_sha256, terms.stamp, shared)
-        commitments = terms.variant.commitments
-        committed = Committed(digest, message, ground.cameras, self.landmarks, commitments, draws)
+        landmarks, commitments = None if self.bank is None else self.bank.landmarks, terms.variant.commitments
+        committed = Committed(digest, message, ground.cameras, landmarks, commitments, draws)
         wanted = Fidelity(settings.psnr_db + (CONFIG.strength.copy_margin_db if draft.copied else 0.0), settings.ssim)
         at_view = terms.variant.at_view
         pixels = ground.picture_scale
@@ -69,16 +67,13 @@ class Asset:
 
 def bank_of(
     model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock, known: Landmarks | None = None
-) -> tuple[Landmarks | None, SeenPoints | None]:
-    """The bank by which the camera of a screenshot is found, from regular views of the unmarked model; and what an
-    index of many assets keeps of it. `known` is the bank, where an earlier copy has it."""
+) -> Bank | None:
+    """The bank, from regular views of the unmarked model. `known` are its landmarks, where an earlier copy has them."""
     if config.landmark_views == 0:
-        return None, None
-    if known is None:
-        landmarks, rig = make_bank(model, extent, config.landmark_views, clock.advance)
-    else:
-        landmarks, rig = known, bank_views(known, model, extent)
-    return landmarks, see_points(landmarks, rig)
+        return None
+    if known is not None:
+        return Bank(known, bank_views(known, model, extent))
+    return Bank(*make_bank(model, extent, config.landmark_views, clock.advance))
 
 
 def known_landmarks(earlier: Record, digest: bytes, config: EmbedConfig) -> Landmarks | None:

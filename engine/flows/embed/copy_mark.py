@@ -18,7 +18,15 @@ from engine.flows.embed.draws import Draws
 from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
 from engine.flows.records.draw import DRAWN
-from engine.flows.records.opened_record import Drawn, Layers, OpenedRecord, draw_copy, draw_owner, plan_of
+from engine.flows.records.opened_record import (
+    Drawn,
+    Layers,
+    OpenedRecord,
+    draw_copy,
+    draw_owner,
+    owner_displacements,
+    plan_of,
+)
 from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -188,15 +196,6 @@ def whole_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:
         if copies.grain.there:
             rough = _sum(rough, copies.grain.displacements(values[copies.layout.chips :]))
     return tint, rough
-
-
-def owner_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:
-    """(N, D) what the layer that carries the claim displaces colours by, and (6 N,) centres and sizes, in their
-    units."""
-    layout, grain, chips = opened.layout, opened.grain, opened.layout.chips
-    values = opened.spreading_of(chips + grain.chips(len(opened.reference))).values(opened.message)
-    tint = layout.displace(opened.strength * layout.amplitudes * values[:chips])
-    return tint, grain.displacements(values[chips:]) if grain.there else None
 
 
 def displaced(model: GaussianModel, tint: Float32, rough: Float64 | None) -> GaussianModel:

@@ -15,7 +15,6 @@ from typing import Unpack
 
 import numpy as np
 
-from engine.catalogue.entry import SeenPoints
 from engine.errors import InputError
 from engine.extras import load_extra
 from engine.flows.embed.asset import Asset, bank_of, known_landmarks
@@ -24,6 +23,7 @@ from engine.flows.embed.copy_mark import make_mark
 from engine.flows.embed.delivery import Pruned, deliver
 from engine.flows.embed.draft import Draft
 from engine.flows.embed.draws import SECOND_WATERMARK, is_copy_of, second_watermark, shares_layer
+from engine.flows.embed.landmark_bank import Bank
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
@@ -82,7 +82,7 @@ class Embedding:
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
     report: EmbedReport
     worst_view: SeenView  # the original in the key view of `psnr_total_worst_view`
-    seen: SeenPoints | None  # what an index of many assets keeps of its looks
+    bank: Bank | None  # None if no landmarks were wanted
 
 
 def embed(
@@ -182,7 +182,7 @@ def _prepare(
         digest = draft.digest
     with clock.stage("landmarks"):
         known = None if terms.earlier is None else known_landmarks(terms.earlier, digest, settings)
-        landmarks, seen = bank_of(draft.delivery.model, original.extent, settings, clock, known)
+        bank = bank_of(draft.delivery.model, original.extent, settings, clock, known)
     return Asset(
         original=original,
         original_sha256=original_sha256,
@@ -190,8 +190,7 @@ def _prepare(
         settings=settings,
         choice=choice,
         draft=draft,
-        landmarks=landmarks,
-        seen=seen,
+        bank=bank,
     )
 
 
@@ -255,7 +254,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         seconds_by_stage=clock.seconds,
     )
     worst = SeenView(ground.cameras[shown], asset.original.views.images[shown])
-    return Embedding(marked, record, settings, report, worst, asset.seen)
+    return Embedding(marked, record, settings, report, worst, asset.bank)
 
 
 def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:

@@ -1,6 +1,11 @@
 """From which views the bank of landmarks is made, and how many do (DESIGN 4.8)."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +17,27 @@ from engine.pictures.landmarks.config import CONFIG as LANDMARKS
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 
-__all__ = ["bank_views", "make_bank"]
+if TYPE_CHECKING:
+    from engine.catalogue.entry import SeenPoints
+
+__all__ = ["Bank", "bank_views", "make_bank"]
 
 _CONFIG = CONFIG.bank
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Landmarks of the unmarked model, by which the camera of a screenshot is found, and the views they are from."""
+
+    landmarks: Landmarks
+    views: list[Camera]
+
+    @cached_property
+    def seen(self) -> SeenPoints:
+        """What an index of many assets keeps of them, made where there is one."""
+        from engine.catalogue.entry import see_points  # SciPy's trees are slow to load
+
+        return see_points(self.landmarks, self.views)
 
 
 def make_bank(

@@ -315,3 +315,12 @@ def earliest(witnesses: Sequence[Witness], *, drawn: bool = False) -> Attested |
     """The word that counts: the earliest; whether a part of the plan was `drawn` is known apart."""
     words = [Attested(each.at, each.by, drawn) for each in witnesses]
     return min(words, key=lambda word: word.moment, default=None)
+
+
+def owner_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:
+    """(N, D) what the layer that carries the claim displaces colours by, and (6 N,) centres and sizes, in their
+    units."""
+    layout, grain, chips = opened.layout, opened.grain, opened.layout.chips
+    values = opened.spreading_of(chips + grain.chips(len(opened.reference))).values(opened.message)
+    tint = layout.displace(opened.strength * layout.amplitudes * values[:chips])
+    return tint, grain.displacements(values[chips:]) if grain.there else None

@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.verify.gaussian_evidence import read_gaussians
 from engine.flows.verify.search import Suspect, Verification
-from engine.flows.verify.suspect_evidence import read_gaussians
 from engine.model import Bool, Float64, Int32, Int64
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json

@@ -13,8 +13,8 @@ from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.trace.config import CONFIG
 from engine.flows.verify.decision import VerifyConfig
+from engine.flows.verify.gaussian_evidence import compare_tint, read_grain, read_tint
 from engine.flows.verify.search import Reading, Suspect, readings, time_budget
-from engine.flows.verify.suspect_evidence import compare_tint, read_grain, read_tint
 from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual

@@ -25,15 +25,7 @@ from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
-from engine.flows.verify.suspect_evidence import (
-    copy_of_pictures,
-    derivation_of_model,
-    derivation_of_pictures,
-    derivation_of_sight,
-    read_layers,
-    read_pictures,
-    read_renders,
-)
+from engine.flows.verify.gaussian_evidence import derivation_of_model, read_layers
 from engine.formats.cameras.fisheye import without_fisheyes
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
@@ -156,12 +148,14 @@ def _readings(
     suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock, budget: TimeBudget
 ) -> Iterator[Reading]:
     if suspect.model is None:
+        from engine.flows.verify import suspect_evidence as pictures  # and all that reads pictures: slow to load
+
         known = suspect.cameras
         if known is not None and (origin := opened.origin) is not None:
             known = [camera.relative_to(origin) for camera in known]
-        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, known, clock, budget)
+        evidence, scattered, notes, cameras = pictures.read_pictures(suspect.pictures, opened, known, clock, budget)
         seen = sum(camera is not None for camera in cameras)
-        sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
+        sight = pictures.derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading(
             "image",
             evidence,
@@ -171,7 +165,7 @@ def _readings(
             pictures=evidence,
             scattered=scattered,
             cameras=cameras,
-            copied=copy_of_pictures(opened, evidence),
+            copied=pictures.copy_of_pictures(opened, evidence),
         )
         return
     with clock.stage("register"):
@@ -192,13 +186,15 @@ def _readings(
                 found = registration.found
                 reading = Reading(route, evidence, registration, left_out, found, matched, copied=copied)
             else:
-                renders = read_renders(suspect.model, opened, registration, clock, budget)
+                from engine.flows.verify import suspect_evidence as pictures
+
+                renders = pictures.read_renders(suspect.model, opened, registration, clock, budget)
                 both = said is not None and bool(renders.evidence.weights.any())
                 evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
-                sight = derivation_of_sight(matched, renders.recognised)
+                sight = pictures.derivation_of_sight(matched, renders.recognised)
                 along = "both" if both else route
                 said_all = evidence, registration, (*left_out, *renders.notes), renders.shown, sight
-                shown = copy_of_pictures(opened, renders.evidence)
+                shown = pictures.copy_of_pictures(opened, renders.evidence)
                 copied = copied.plus(shown) if both and copied is not None and shown is not None else shown
                 reading = Reading(along, *said_all, renders.evidence, copied=copied)
         yield reading

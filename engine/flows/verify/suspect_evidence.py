@@ -13,7 +13,6 @@ from functools import cache
 import numpy as np
 
 from engine.errors import InputError
-from engine.flows.embed.copy_mark import owner_displacements
 from engine.flows.embed.landmark_bank import bank_views
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
@@ -22,8 +21,7 @@ from engine.flows.verify.config import CONFIG
 from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
-from engine.model import Bool, Camera, Float32, GaussianModel, Int32
-from engine.numerics.gaussians import surface_mass
+from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
@@ -47,32 +45,22 @@ from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render
 from engine.registration.registration_search import Registration
 from engine.registration.visibility import only_drawn
-from engine.watermark.copy_layer import CopyLayer, grain_without_owner, without_owner
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.image_evidence import PictureEvidence, gather_again
-from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
+from engine.watermark.model_evidence import Evidence
 from engine.watermark.picture_agreement import Together
 
 __all__ = [
     "ReadPicture",
     "Seen",
-    "compare_tint",
-    "copy_of_gaussians",
     "copy_of_pictures",
-    "derivation_of_model",
     "derivation_of_pictures",
     "derivation_of_sight",
-    "duplicate_weights",
     "far_views",
     "read_found",
-    "read_gaussians",
-    "read_grain",
     "read_known",
-    "read_layers",
     "read_pictures",
     "read_renders",
-    "read_tint",
 ]
 
 _CONFIG = CONFIG.evidence
@@ -213,28 +201,6 @@ def _agreement(own: _Laid, image: Float32, grid: JpegGrid) -> float:
     return agreement(grid.part(exposed), grid.part(image), grid.part(mask), grid.quality)
 
 
-def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, registration: Registration) -> Derivation:
-    """What the matched Gaussians say; where every one was taken for a mixture, what these were made of."""
-    rows = np.flatnonzero(registration.matches >= 0)
-    if not registration.found:
-        return Derivation(False, 0.0, 0)
-    matched, recognised = registration.matches[rows], len(rows)
-    seen = matched
-    if not recognised:
-        seen, recognised = registration.mixtures.reference_rows, int(registration.mixtures.explained().sum())
-    low, high = np.quantile(reference.means[seen].astype(np.float64), [0.01, 0.99], axis=0)
-    exactness = None
-    if len(rows) and not registration.deformed:
-        part = slice(None, None, max(1, len(rows) // _CONFIG.sample))
-        placed = registration.similarity.apply(suspect.means[rows[part]].astype(np.float64))
-        gaps = np.linalg.norm(placed - reference.means[matched[part]], axis=1)
-        sizes = np.exp(reference.log_scales[matched[part]].mean(axis=1, dtype=np.float64))
-        exactness = float(np.median(gaps / sizes))
-    share = registration.derived_fraction
-    where = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
-    return Derivation(share >= _CONFIG.derived_least, share, recognised, exactness, where)
-
-
 def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
     """What renders of a suspect model say, in addition to its Gaussians: views recognised by themselves, or nothing."""
     if of_model.derived or not recognised:
@@ -265,65 +231,6 @@ class Seen:
     notes: tuple[str, ...]  # how the model was placed, where not by its Gaussians
     shown: bool  # whether the suspect shows the asset, as far as it must for being read
     recognised: bool = False  # whether several of its views were recognised by themselves, which tells it from others
-
-
-def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10), and where the
-    record has a grain, of its centres and sizes.
-    """
-    return read_layers(suspect, opened, registration)[0]
-
-
-def read_layers(
-    suspect: GaussianModel, opened: OpenedRecord, registration: Registration
-) -> tuple[Evidence, Evidence | None]:
-    """Of the layer that carries the claim, as `read_gaussians`; and of the copy layer, where the record has one."""
-    compared = compare_tint(suspect, opened, registration)
-    tint = read_tint(suspect, opened, registration, compared)
-    grain = read_grain(suspect, opened, registration) if opened.grain.there else None
-    return tint if grain is None else tint.then(grain), copy_of_gaussians(opened, compared, grain)
-
-
-def read_tint(
-    suspect: GaussianModel, opened: OpenedRecord, registration: Registration, compared: Residual | None = None
-) -> Evidence:
-    """What the suspect's colours say, in the cells of this record; `compared` as `compare_tint` gives it."""
-    if compared is None:
-        compared = compare_tint(suspect, opened, registration)
-    tint = gather_residual(opened.layout, compared)
-    return replace(tint, signal=opened.strength * tint.signal)
-
-
-def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Residual:
-    """How far the suspect's colours lie from the reference's: copies with carriers of one width share it."""
-    seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC does not depend on the direction
-    reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
-    width = min(opened.layout.width, colors.shape[1])
-    mixtures = registration.mixtures
-    mixtures = replace(mixtures, quality=mixtures.quality * duplicate_weights(suspect, registration.matches))
-    return compare_colors(reference[:, :width], colors[:, :width], mixtures)
-
-
-def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
-    """(M,) weight of each Gaussian of the suspect among those that `matches` (M,) take for one of the reference:
-    opacity times surface, against the heaviest. Otherwise near twins that hardly show would outvote what does."""
-    weights = np.ones(len(suspect), np.float32)
-    rows = np.flatnonzero(matches >= 0)
-    rows = rows[np.bincount(matches[rows])[matches[rows]] > 1]
-    if len(rows):
-        mass, target = surface_mass(suspect.take(rows)), matches[rows]
-        heaviest = np.zeros(int(target.max()) + 1)
-        np.maximum.at(heaviest, target, mass)
-        share = mass / np.maximum(heaviest[target], np.finfo(np.float64).tiny)
-        weights[rows] = np.where(share >= _CONFIG.like_mass, 1.0, share)
-    return weights
-
-
-def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """What the suspect's centres and sizes say, for all copies of an asset."""
-    seen = mirror_model(suspect) if registration.mirrored else suspect
-    pairs = registration.matches, registration.match_quality * duplicate_weights(suspect, registration.matches)
-    return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
 
 
 def read_renders(
@@ -533,26 +440,6 @@ def _evidence(said: PictureEvidence | None, opened: OpenedRecord) -> Evidence:
 def _nothing(opened: OpenedRecord) -> Evidence:
     zero = np.zeros(opened.layout.chips + opened.grain.chips(len(opened.reference)))
     return Evidence(zero, zero, zero)
-
-
-def copy_of_gaussians(opened: OpenedRecord, compared: Residual, grain: Evidence | None) -> Evidence | None:
-    """Of a registered model, from its differences of colors and the evidence of its grain; None where the record has
-    no copy layer."""
-    if opened.copies is None:
-        return None
-    tint, rough = owner_displacements(opened)
-    said = gather_residual(opened.copies.layout, without_owner(compared, tint.astype(np.float64)))
-    if grain is None or rough is None or not opened.copies.grain.there:
-        return said
-    return said.then(_weighed(grain_without_owner(grain, rough), opened, opened.copies))
-
-
-def _weighed(grain: Evidence, opened: OpenedRecord, copies: CopyLayer) -> Evidence:
-    """Evidence of the owner's grain as that of the copies', which is of another size."""
-    own, owners = copies.grain, opened.grain  # in one proportion, whichever of the two there is
-    times = own.center / owners.center if owners.center > 0 else own.scale / owners.scale
-    linear = None if grain.linear is None else times * grain.linear
-    return replace(grain, weights=times * grain.weights, signal=times * grain.signal, linear=linear)
 
 
 def copy_of_pictures(opened: OpenedRecord, said: Evidence) -> Evidence | None:

@@ -8,8 +8,8 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
+from engine.flows.verify.gaussian_evidence import derivation_of_model, read_gaussians
 from engine.flows.verify.search import count_tries
-from engine.flows.verify.suspect_evidence import derivation_of_model, read_gaussians
 from engine.lab.sim.edits.objects import FlatScene
 from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity

@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
+from engine.formats.declaration import Kind, dc_range
 from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
 from engine.model import SH_C0, GaussianModel
 
@@ -62,3 +63,14 @@ def write_splat(model: GaussianModel) -> bytes:
 
 def _to_bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+SPLAT = Kind(
+    "splat",
+    lambda data, file: looks_like_splat(data),
+    lambda data, file, _: read_splat(data, file=file),
+    lambda model: [write_splat(model)],
+    guessed=True,
+    ranges=(dc_range(-0.5 / SH_C0, 0.5 / SH_C0, 1 / 255 / SH_C0),),
+)
+KINDS = (SPLAT,)

@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.declaration import Kind
 from engine.formats.guards import check_count
 from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
 from engine.model import SH_C0, Float32, GaussianModel
 
-__all__ = ["looks_like_ksplat", "read_ksplat"]
+__all__ = ["KINDS", "looks_like_ksplat", "read_ksplat"]
 
 HEADER, SECTION_HEADER = 4096, 1024
 REST_COEFFICIENTS = (0, 3, 8)
@@ -165,3 +166,12 @@ def _spread(values: Float32, sh: Float32) -> None:
             band = values[:, 3 * done : 3 * (done + width)].reshape(len(values), 3, width)
             sh[:, 1 + done : 1 + done + width] = band.transpose(0, 2, 1)
             done += width
+
+
+def _is_one(data: bytes, file: str) -> bool:
+    """The name alone counts, too, unless it is an archive's."""
+    named = file.lower().endswith(".ksplat") and len(data) > 0 and not data.startswith(b"PK")
+    return named or looks_like_ksplat(data)
+
+
+KINDS = (Kind("ksplat", _is_one, lambda data, file, _: read_ksplat(data, file=file), guessed=True),)

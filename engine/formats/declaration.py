@@ -1,0 +1,69 @@
+"""What a model format declares: how its files are recognized, read and written, and what they cannot hold."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from engine.formats.repairs import Repair
+from engine.model import Bool, Float32, Float64, GaussianModel
+
+__all__ = ["Held", "Kind", "Range", "Read", "dc_range", "rest_range", "size_range"]
+
+Read = tuple[GaussianModel, tuple[Repair, ...]]
+Held = Literal["harmonics", "discs", "antialiasing", "properties", "comments", "origin"]
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a format holds of an attribute, and in which steps, in the units of the values."""
+
+    name: str
+    values: Callable[[GaussianModel], Float32]  # (N, ...)
+    low: float
+    high: float
+    step: float  # twice what it rounds by within its range
+
+    def beyond(self, model: GaussianModel) -> Bool:
+        """(N,) which Gaussians are clipped by more than rounding."""
+        values = self.values(model).reshape(len(model), -1)
+        if not values.shape[1]:
+            return np.zeros(len(model), dtype=np.bool_)
+        low, high = self.low - self.step / 2, self.high + self.step / 2
+        return np.asarray((values.min(axis=1) < low) | (values.max(axis=1) > high))
+
+
+def dc_range(low: float, high: float, step: float) -> Range:
+    """Of the coefficients of degree 0."""
+    return Range("colors", lambda model: model.sh[:, 0], low, high, step)
+
+
+def rest_range(low: float, high: float, step: float) -> Range:
+    """Of the coefficients beyond degree 0."""
+    return Range("harmonics", lambda model: model.sh[:, 1:], low, high, step)
+
+
+def size_range(low: float, high: float, step: float) -> Range:
+    """Of the logarithms of the scales."""
+    return Range("sizes", lambda model: model.log_scales, low, high, step)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One format; its name is also the ending of its files. `file` is what messages call the file."""
+
+    name: str
+    told_by: Callable[[bytes, str], bool]  # (content, file) -> whether this is one
+    read: Callable[[bytes, str, str], Read]  # (content, file, axes of an SPZ file) -> model and repairs
+    # model of at least one Gaussian -> pieces of the file; None for a format that is only read
+    write: Callable[[GaussianModel], Iterable[bytes]] | None = None
+    guessed: bool = False  # without a magic: recognized after all formats that have one
+    endings: tuple[str, ...] = ()  # of files that are written, beside its name
+    load: Callable[[str], object] | None = None  # packages that are not always installed, for a purpose in words
+
+    # what a written file holds beside means, scales, rotations, opacities and color, and how
+    holds: tuple[Held, ...] = ()
+    ranges: tuple[Range, ...] = ()
+    rounded: Callable[[Float32], Float64] | None = None  # means as the file holds them, if one range is for many rows
+    step: Callable[[Float64], float] | None = None  # of means (N, 3) in such a range, scene units
