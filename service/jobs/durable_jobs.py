@@ -281,16 +281,6 @@ class DurableJobs:
                 )
             return self._opened
 
-    def _next_of(self, tenant: str) -> tuple[str, int, float] | None:
-        """Id of the tenant's oldest queued job, how many of its jobs are at work, and in how many seconds it is
-        due."""
-        at_work = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _RUNNING)
-        queued = sa.select(jobs.c.id, jobs.c.created_at, at_work.scalar_subquery().label("at_work"))
-        with self._db.read() as connection:
-            mine = queued.where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
-            found = connection.execute(mine).first()
-        return None if found is None else (found.id, found.at_work, seconds_until(found.created_at))
-
     def _due_before(self, time: str) -> Sequence[str]:
         """Ids of jobs that were submitted before that time and are at work, or the next of their tenant."""
         turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
@@ -305,9 +295,12 @@ class DurableJobs:
 
     def _advance(self, tenant: str) -> None:
         """Keep the tenant's oldest job in the queue; the fewer of its jobs are at work, the further in front."""
+        mine = jobs.c.tenant == tenant
+        at_work = sa.select(sa.func.count()).select_from(jobs).where(mine & _RUNNING).scalar_subquery()
+        oldest = sa.select(jobs.c.id, jobs.c.created_at, at_work.label("at_work")).where(mine & _QUEUED)
         try:
-            if (found := self._next_of(tenant)) is not None:
-                self._enqueue(*found)
+            if (found := self._db.query(oldest.order_by(*_ORDER).limit(1)).first()) is not None:
+                self._enqueue(found.id, found.at_work, seconds_until(found.created_at))
         except Exception as error:  # the row is what counts: `reconcile` makes up for it
             _log.warning("the next job of tenant %s is enqueued later: %s", tenant, error)
 

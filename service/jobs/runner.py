@@ -9,7 +9,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypedDict, TypeVar
 
@@ -173,8 +173,7 @@ class Runner:
 
     def _patiently(self, call: Callable[[], T], wait_out: frozenset[str] = _UNAVAILABLE) -> T:
         """The result of a call, made again and again while the database or the store does not answer."""
-        wait = _FIRST_WAIT_SECONDS
-        while not self._stopping.is_set():
+        for _ in _tries(self._stopping):
             try:
                 return call()
             except Stopped:
@@ -183,9 +182,16 @@ class Runner:
                 if problem.kind not in wait_out:
                     raise
                 _log.warning("waiting: %s", problem.detail)
-            self._stopping.wait(wait)
-            wait = min(2 * wait, _LONGEST_WAIT_SECONDS)
         _stand_still()
+
+
+def _tries(stopping: threading.Event) -> Iterator[None]:
+    """Turns of a loop, each after a pause twice as long as the one before, until it is to stop."""
+    wait = _FIRST_WAIT_SECONDS
+    while not stopping.is_set():
+        yield
+        stopping.wait(wait)
+        wait = min(2 * wait, _LONGEST_WAIT_SECONDS)
 
 
 def _stand_still() -> NoReturn:
@@ -288,9 +294,9 @@ class Worker:
 
     def _until_it_works(self, call: Callable[[], Any]) -> None:
         """The database may go away while we start: for as long as it is waited for before."""
-        patience, wait = self._settings.database_wait_seconds, _FIRST_WAIT_SECONDS
+        patience = self._settings.database_wait_seconds
         until = time.monotonic() + patience
-        while not self._stopping.is_set():
+        for _ in _tries(self._stopping):
             try:
                 call()
                 return
@@ -299,8 +305,6 @@ class Worker:
                     _log.error("worker %s ends: it could not start within %g s: %s", self.name, patience, error)
                     self._end(1)
                 _log.warning("worker %s cannot start yet: %s", self.name, error)
-            self._stopping.wait(wait)
-            wait = min(2 * wait, _LONGEST_WAIT_SECONDS)
         self._end()
 
     def _beat(self) -> None:
