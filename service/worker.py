@@ -5,6 +5,8 @@ import threading
 import time
 from typing import NoReturn
 
+import sqlalchemy.orm  # noqa: F401  here: two threads that first need it at one time find it half loaded
+
 from service.claims import shares
 from service.core import Service
 from service.disputes.flow import dispute_flow

@@ -1,4 +1,4 @@
 """Backups of a service that keeps everything in its data folder: taken while it runs, restored into an empty folder.
 
-Start at `taking`, whose order of steps makes a copy consistent, then `restoring`.
+Start at `snapshot`, whose order of steps makes a copy consistent, then `restoration`.
 """

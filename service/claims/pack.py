@@ -1,12 +1,15 @@
 """The takedown pack: what is sent to a platform about a copy, as one ZIP. The same claim and words give the same bytes.
 
-Pictures of an unmarked original have no place in it (`PICTURES`): it goes to third parties.
+Pictures of an unmarked original have no place in it (`PICTURES`): it goes to third parties. Its texts are templates
+beside this file. `statement.txt` has what a law requires of a notice: 17 U.S.C. 512(c)(3)(A)(i)-(vi), or article
+16(2)(a)-(d) of Regulation (EU) 2022/2065 (DSA).
 """
 
 import io
+import re
 import textwrap
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +20,6 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.present.html_pages import templates
 from engine.present.numerals import PLAIN, when
 from service.claims.document import document_words, no_pack
-from service.claims.law import TITLES, elements
 from service.claims.report import captions_of, timeline
 from service.claims.schema import OwnerStatement
 from service.problems import Problem
@@ -75,19 +77,9 @@ def make_pack(
         "found_at": [*map(str, given.copy_url)] or ([acquired] if acquired else []),
         "note": [part for line in given.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
     }
-    names = ["finding", "notice"]
-    if given.law is not None:
-        names.append("statement")
-        finding = about["words"].finding
-        parts = elements(
-            given.law,
-            document,
-            finding,
-            about["owner"] or "[name of the owner]",
-            about["found_at"],
-            str(given.original_url or ""),
-        )
-        about |= {"title": TITLES[given.law], "elements": parts, "blank": [part for part in parts if part.blanks]}
+    parts = _Parts()
+    about |= {"parts": parts, "part": parts.write}
+    names = ["finding", "notice", *(["statement"] if given.law is not None else [])]
     files = {f"{name}.txt": _texts().get_template(f"{name}.txt").render(about).encode() for name in names}
     files |= {f"signed/{name}.png": data for name, data in pictures.items()}
     if "asset" in pictures:
@@ -96,6 +88,24 @@ def make_pack(
     if timestamp is not None:
         files["claim.jws.tst"] = timestamp
     return _zip(document["claim_id"], files)
+
+
+class _Parts:
+    """The parts of a statement as they are written, and of each what only a person can say: a blank in brackets."""
+
+    _BLANK = re.compile(r"\[[^\]]+\]")
+
+    def __init__(self) -> None:
+        self.count, self.blank = 0, list[tuple[str, list[str]]]()
+
+    def write(self, cite: str, asks: str, caller: Callable[[], str]) -> str:
+        """A part: where the law asks for it, what for, and the paragraphs that answer it; an address is not folded."""
+        lines = [line for line in caller().splitlines() if line]
+        self.count += 1
+        if blanks := [blank for line in lines for blank in self._BLANK.findall(line)]:
+            self.blank.append((cite, blanks))
+        answer = [f"    {line}" if line.startswith("At: ") else _fill(line, "    ") for line in lines]
+        return "\n".join([_fill(f"{cite}: {asks}", "", "  "), *answer]) + "\n\n"
 
 
 def _zip(folder: str, files: Mapping[str, bytes]) -> bytes:
@@ -143,9 +153,14 @@ def _texts() -> Environment:
     environment = templates(Path(__file__).parent, keep_trailing_newline=True)
     environment.autoescape = False  # these are no pages; names from outside stay on their line
     environment.finalize = plain
-    environment.filters.update(when=when, fill=lambda *given: _Filled(_fill(*given)))
+    environment.filters.update(when=when, bare=_bare, fill=lambda *given: _Filled(_fill(*given)), verbatim=_Filled)
     return environment
 
 
 class _Filled(str):
-    """A paragraph, its line breaks our own."""
+    """Lines whose breaks are our own."""
+
+
+def _bare(text: Any) -> str:
+    """Words from outside, made to look like no blank."""
+    return str(text).replace("[", "(").replace("]", ")")

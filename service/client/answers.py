@@ -53,6 +53,7 @@ class Job:
     finished_at: str | None
     position: int | None = None  # in the queue, 1 is next; None unless queued
     name: str = ""  # what it is about: the label, or the names of the files
+    copy_name: str = ""  # recipient of the marked copy
     fraction_total: float | None = None  # of the whole job; None if unknown
 
     @property

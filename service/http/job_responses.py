@@ -31,6 +31,7 @@ class JobView(BaseModel):
     kind: Literal["embed", "verify", "dispute"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
     name: str = Field(description="Subject: the label, or the names of the files; empty if none was given.")
+    copy_name: str = Field(description="Recipient of the marked copy; empty for none.")
     stage: str = Field(description="The stage at work.")
     fraction: Annotated[float, Field(ge=0, le=1, description="Progress of that stage."), _WITHIN]
     fraction_total: float | None = Field(
@@ -71,7 +72,8 @@ JOB_RESPONSES: Responses = {
 def view(job: Job, position: int | None = None) -> JobView:
     """The job for the client."""
     name = job.request.get("label") or ", ".join(job.request.get("names") or ())
-    return JobView.model_validate({**vars(job), "fraction_total": course(job), "position": position, "name": name})
+    subject = {"name": name, "copy_name": job.request.get("copy_name", "")}
+    return JobView.model_validate({**vars(job), "fraction_total": course(job), "position": position, **subject})
 
 
 def views(service: Service, jobs: Sequence[Job]) -> list[JobView]:

@@ -62,6 +62,7 @@ class DurableJobs:
 
     def __init__(self, db: Database, jobs_url: str) -> None:
         self._db, self.url = db, jobs_url
+        self.is_embedded = db.is_sqlite  # in files of this machine, all its workers are this machine's
         self.presence = Presence(db)
         self._lock = threading.Lock()
         self._opened: DBOSClient | None = None
@@ -156,6 +157,11 @@ class DurableJobs:
     def waiting(self, tenant: str) -> int:
         """How many jobs of a tenant are not final."""
         return int(self._db.query(_waiting(tenant)).scalar_one())
+
+    def is_any_due(self) -> bool:
+        """Whether a job is at work or may begin; in one quick statement."""
+        due = (_QUEUED | _RUNNING) & (jobs.c.created_at <= now())
+        return self._db.query(sa.select(jobs.c.id).where(due).limit(1)).first() is not None
 
     def begin(self, job_id: str, worker: str) -> Job | None:
         """A worker starts on a job, for the first time or again; None where there is nothing left to do. The next job
@@ -261,7 +267,7 @@ class DurableJobs:
                 _hush()
                 from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
 
-                if sa.make_url(self.url).get_backend_name() == "sqlite":
+                if self.is_embedded:
                     with sqlite3.connect(str(sa.make_url(self.url).database), timeout=30) as connection:
                         connection.execute("PRAGMA journal_mode=WAL")  # kept in the file
                     connection.close()
@@ -274,16 +280,6 @@ class DurableJobs:
                     retry_connection_errors=False,  # a request does not wait for a dead database
                 )
             return self._opened
-
-    def _next_of(self, tenant: str) -> tuple[str, int, float] | None:
-        """Id of the tenant's oldest queued job, how many of its jobs are at work, and in how many seconds it is
-        due."""
-        at_work = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _RUNNING)
-        queued = sa.select(jobs.c.id, jobs.c.created_at, at_work.scalar_subquery().label("at_work"))
-        with self._db.read() as connection:
-            mine = queued.where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
-            found = connection.execute(mine).first()
-        return None if found is None else (found.id, found.at_work, seconds_until(found.created_at))
 
     def _due_before(self, time: str) -> Sequence[str]:
         """Ids of jobs that were submitted before that time and are at work, or the next of their tenant."""
@@ -299,9 +295,12 @@ class DurableJobs:
 
     def _advance(self, tenant: str) -> None:
         """Keep the tenant's oldest job in the queue; the fewer of its jobs are at work, the further in front."""
+        mine = jobs.c.tenant == tenant
+        at_work = sa.select(sa.func.count()).select_from(jobs).where(mine & _RUNNING).scalar_subquery()
+        oldest = sa.select(jobs.c.id, jobs.c.created_at, at_work.label("at_work")).where(mine & _QUEUED)
         try:
-            if (found := self._next_of(tenant)) is not None:
-                self._enqueue(*found)
+            if (found := self._db.query(oldest.order_by(*_ORDER).limit(1)).first()) is not None:
+                self._enqueue(found.id, found.at_work, seconds_until(found.created_at))
         except Exception as error:  # the row is what counts: `reconcile` makes up for it
             _log.warning("the next job of tenant %s is enqueued later: %s", tenant, error)
 
@@ -331,6 +330,7 @@ def configuration(url: str, executor: str) -> DBOSConfig:
         "executor_id": executor,
         "serializer": DBOSPortableJSONSerializer(),  # the default, pickle, runs what it reads
         "sys_db_pool_size": 5,
+        "notification_listener_polling_interval_sec": 0.25,  # no flow listens: it is how long a shut-down waits
         "log_level": "ERROR",
         "enable_otlp": False,
     }

@@ -1,1 +1,1 @@
-"""Checking a suspect: the request (`endpoints`), the records to compare (`candidates`), the steps (`flow`)."""
+"""Checking a suspect: the request (`endpoints`), and the steps that a worker runs (`flow`)."""

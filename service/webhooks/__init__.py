@@ -1,1 +1,1 @@
-"""Webhooks: a tenant's list (`endpoints`), where messages may go (`sending`), and taking them there (`delivery`)."""
+"""Webhooks: a tenant's list (`endpoints`), and taking messages there (`delivery`)."""

@@ -33,7 +33,7 @@ from service.jobs.durable_jobs import job_of
 from service.open_network import NOWHERE, resolve, there
 from service.trust.webhook_secrets import secret_of
 
-POLL_SECONDS = 1.0
+POLL_SECONDS = 2.0
 LEASE_SECONDS = 60.0
 AT_ONCE = 32
 RETRY_SECONDS = (10, 60, 300, 1800, 7200, 21600, 43200)

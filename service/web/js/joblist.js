@@ -6,12 +6,14 @@ import { endedRow, openRow } from "./jobrow.js";
 import { listPath, pager } from "./pages.js";
 import { showProblem } from "./problem.js";
 import { jobName } from "./session.js";
+import { assetName } from "./words.js";
 
 const OPEN = ["running", "queued"];
 const BUSY = 1500; // milliseconds between two looks while something is open
 const IDLE = 8000;
 
-const named = (job) => jobName(job.id) || job.name; // this tab knows more of the jobs it started
+// This tab knows more of the jobs it started.
+const named = (job) => jobName(job.id) || (job.copy_name ? assetName({ ...job, label: job.name }) : job.name);
 
 /** Wire the view; `enter` shows it and keeps it up to date until `leave`. */
 export function startJobs() {

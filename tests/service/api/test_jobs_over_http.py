@@ -18,9 +18,9 @@ def embed_body(api: Api) -> dict[str, object]:
 
 
 def test_202_and_where_to_look(api: Api) -> None:
-    answer = api.client.post("/v1/embed", json=embed_body(api))
+    answer = api.client.post("/v1/embed", json=embed_body(api) | {"copy_name": "Acme"})
     job = answer.json()
-    assert answer.status_code == 202
+    assert (answer.status_code, job["copy_name"]) == (202, "Acme")
     assert answer.headers["location"] == f"/v1/jobs/{job['id']}"
     assert int(answer.headers["retry-after"]) >= 1
     assert job["state"] == "queued"

@@ -218,6 +218,10 @@ def test_words_from_outside_are_no_blanks(registry: Registry) -> None:
     body, blank = statement(registry, law="dsa", copy_url=["https://a.example/?q=[signed]"])
     assert "[signed]" not in body
     assert "DSA article 16(2)(b)" not in blank
+    claim = registry.issue(job="job_2")
+    document = {**claim.document, "owner": {"name": "Studio [X] Acme"}}
+    text = opened(make_pack(document, claim.jws, PICTURES, None, OwnerStatement(law="dsa")))["statement.txt"].decode()
+    assert "[name of who submits, if it is not Studio (X) Acme], [e-mail address]" in text
 
 
 def test_without_a_law_there_is_no_statement(registry: Registry) -> None:

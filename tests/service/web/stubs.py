@@ -56,7 +56,7 @@ def a_job(number: int, **fields: Any) -> dict[str, Any]:
     """A job as the API shows it; queued if nothing else is said."""
     plain = dict.fromkeys(("result", "problem", "started_at", "finished_at", "position"))
     plain |= {"id": f"job_{number:024x}", "kind": "embed", "state": "queued", "stage": "", "fraction": 0.0, "name": ""}
-    plain |= {"cancelling": False, "created_at": at(number), **fields}
+    plain |= {"cancelling": False, "copy_name": "", "created_at": at(number), **fields}
     if plain["state"] != "queued":
         plain["started_at"] = at(number)
     if plain["state"] not in ("queued", "running"):

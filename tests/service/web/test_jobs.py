@@ -71,7 +71,7 @@ def test_jobs_that_others_asked_for_tell_what_came_of_them(page: Page) -> None:
 def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     stage = {"stage": "record 3 of 20", "fraction": 0.12}
     running = a_job(140, kind="verify", state="running", name="found <b>here</b>.spz", **stage)  # started elsewhere
-    queued = [a_job(150 + place, position=place) for place in range(1, 121)]
+    queued = [a_job(150 + place, position=place, name="Quince", copy_name="Acme") for place in range(1, 121)]
     past = [a_job(number, state="cancelled") for number in range(45, 0, -1)]
     jobs: list[dict[str, Any]] = [*reversed(queued), *past, running]  # the oldest
     lists(page, jobs=jobs)
@@ -82,6 +82,7 @@ def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     assert "Comparing the suspect with your records" in rows.nth(0).inner_text()
     assert "3 of 20" in rows.nth(0).inner_text()
     assert "found <b>here</b>.spz" in rows.nth(0).inner_text()
+    assert "Mark · Quince, copy for Acme" in rows.nth(1).inner_text(), "whose copy it will be"
     assert rows.nth(0).locator("progress").evaluate("bar => bar.value") == 0.12
     assert [rows.nth(k).locator(".progress-now").inner_text() for k in (1, 2, 120)] == [
         "Queued: next", "Queued: 1 before it", "Queued: 119 before it",
