@@ -160,7 +160,11 @@ def test_only_auto_asks_what_must_still_show_the_mark(page: Page) -> None:
             survive.select_option(wanted)
         page.get_by_role("button", name="Mark the model").click()
         page.get_by_role("alert").get_by_text("Refused").wait_for()
-    assert [(each["profile"], each["survive"]) for each in asked] == [("auto", "worst"), ("auto", "model"), ("fast", None)]
+    assert [(each["profile"], each["survive"]) for each in asked] == [
+        ("auto", "worst"),
+        ("auto", "model"),
+        ("fast", None),
+    ]
 
 
 def focused(page: Page) -> str:

@@ -1,6 +1,7 @@
 """One setting on one scene: processor seconds, bytes, decibels, and what is read after attacks."""
 
 import time
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_b
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.suite import Trial
+from engine.model import Camera, Float32
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.rates import MADE_FIRST
@@ -22,7 +24,6 @@ SETTINGS: dict[str, tuple[str, float | None]] = {
     "strong": ("strong", None),
     "auto": (AUTO, None),
     "auto, 40 dB": (AUTO, 40.0),
-    "auto, 35 dB": (AUTO, 35.0),
     "paper": ("paper", None),
 }
 """Profile and pruning budget by the name on the chart; `paper` is the paper's system as we run it."""
@@ -75,11 +76,13 @@ def measure_setting(scene: str, setting: str, seed: int, quick: bool) -> list[Ro
     ]
 
 
-def _attacked(subject: MarkedScene, pictures: list[tuple], seed: int) -> Row:
-    z, right = {}, {}
+def _attacked(subject: MarkedScene, pictures: Sequence[tuple[Float32, Camera]], seed: int) -> Row:
+    z, right = dict[str, float](), dict[str, float]()
     for trial in ATTACKS:
-        suspects = pictures if trial.kind == "image" else [(subject.marked,)]
-        claims = [read_attacked(subject, trial, seed, *suspect).claim for suspect in suspects]
+        if trial.kind == "image":
+            claims = [read_attacked(subject, trial, seed, *picture).claim for picture in pictures]
+        else:
+            claims = [read_attacked(subject, trial, seed, subject.marked).claim]
         z[trial.label] = min(claim.z for claim in claims)
         right[trial.label] = min(claim.bit_accuracy for claim in claims)
     worst = min(z, key=z.__getitem__)

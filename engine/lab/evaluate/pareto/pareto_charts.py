@@ -69,10 +69,15 @@ def dominated(row: Row, rows: Sequence[Row]) -> bool:
 
 def _beats(one: Row, other: Row) -> bool:
     def worth(row: Row) -> tuple[float, ...]:
-        return -math.log(row["cpu_seconds"]), -math.log(row["bytes"]), row["psnr_unseen"], math.log(row["worst_z"])
+        return -math.log(row["cpu_seconds"]), -math.log(row["bytes"]), row["psnr_unseen"], math.log(_shown(row))
 
     better = [(a - b) / tie for a, b, tie in zip(worth(one), worth(other), TIES, strict=True)]
     return min(better) > -1.0 and max(better) > 1.0
+
+
+def _shown(row: Row) -> float:
+    """z as a log scale shows it: 1 and less is what chance gives."""
+    return max(1.0, float(row["worst_z"]))
 
 
 def outdone(peer: Peer, rows: Sequence[Row]) -> bool:
@@ -123,11 +128,11 @@ def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float]) -> None
     for row in sorted(rows, key=lambda row: not dominated(row, rows)):  # grey lies below
         grey = dominated(row, rows)
         color = FAINT if grey else PALETTE[settings.index(row["setting"])]
-        look = {"color": color, "markersize": 6 if grey else 8, "markeredgecolor": "white"}
-        axes.plot(cost(row), row["worst_z"], MARKERS[scenes.index(row["scene"])], **look)
+        look: dict[str, Any] = {"color": color, "markersize": 6 if grey else 8, "markeredgecolor": "white"}
+        axes.plot(cost(row), _shown(row), MARKERS[scenes.index(row["scene"])], **look)
     label_line(axes, z_threshold(CHANCE_RATE), "claim at 1 in 10^9")
     label_line(axes, z_threshold(DISHONEST_CLAIMANT_RATE), "claim at 1 in 2^128")
-    found = [row["worst_z"] for row in rows]
+    found = [_shown(row) for row in rows]
     axes.set(yscale="log", ylim=(min(5.0, 0.8 * min(found)), 1.3 * max(found)))
     axes.set_ylabel("z after the worst attack (log scale)")
     _plain_ticks(axes.yaxis, TICKS)
@@ -157,7 +162,7 @@ def _published(axes: Axes, rows: Sequence[Row], others: Sequence[Peer], cost: Ca
             color = FAINT if outdone(peer, rows) else INK
             axes.plot(x, peer.z, "o" if peer.blind else "D", color="white", markeredgecolor=color, markersize=7)
             above = number % 2 == 0
-            look = {"ha": "center", "va": "bottom" if above else "top", "fontsize": 8}
+            look: dict[str, Any] = {"ha": "center", "va": "bottom" if above else "top", "fontsize": 8}
             axes.annotate(str(number), (x, peer.z), xytext=(0, 5 if above else -5), textcoords="offset points", **look)
 
 
