@@ -99,7 +99,7 @@ def draw(rows: Sequence[Row], others: Sequence[Peer], machine: str) -> Figure:
         (by_db, lambda row: float(row["psnr_unseen"])),
     )
     for axes, cost in panels:
-        _ours(axes, rows, cost)
+        _ours(axes, rows, cost, "")
     by_seconds.set(xscale="log", xlabel="processor seconds to embed (log scale)", title=_in_seconds(rows))
     _plain_ticks(by_seconds.xaxis, TICKS)
     by_bytes.set(xlabel="marked file, % of the unmarked one's bytes (.sog)", title=_in_bytes(rows))
@@ -123,15 +123,15 @@ def _legend(drawn: Figure, axes: Axes, rows: Sequence[Row]) -> None:
     drawn.legend(loc="outside lower center", ncols=shown, columnspacing=1.4, handletextpad=0.3, fontsize=9)
 
 
-def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float]) -> None:
+def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float], claims: str) -> None:
     scenes, settings = _names(rows, "scene"), _names(rows, "setting")
     for row in sorted(rows, key=lambda row: not dominated(row, rows)):  # grey lies below
         grey = dominated(row, rows)
         color = FAINT if grey else PALETTE[settings.index(row["setting"])]
         look: dict[str, Any] = {"color": color, "markersize": 6 if grey else 8, "markeredgecolor": "white"}
         axes.plot(cost(row), _shown(row), MARKERS[scenes.index(row["scene"])], **look)
-    label_line(axes, z_threshold(CHANCE_RATE), "claim at 1 in 10^9")
-    label_line(axes, z_threshold(DISHONEST_CLAIMANT_RATE), "claim at 1 in 2^128")
+    label_line(axes, z_threshold(CHANCE_RATE), claims and f"{claims} 1 in 10^9")
+    label_line(axes, z_threshold(DISHONEST_CLAIMANT_RATE), claims and f"{claims} 1 in 2^128")
     found = [_shown(row) for row in rows]
     axes.set(yscale="log", ylim=(min(5.0, 0.8 * min(found)), 1.3 * max(found)))
     axes.set_ylabel("z after the worst attack (log scale)")
@@ -139,7 +139,7 @@ def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float]) -> None
 
 
 def _beside(axes: Axes, rows: Sequence[Row], others: Sequence[Peer], machine: str) -> None:
-    _ours(axes, rows, lambda row: float(row["cpu_seconds"]))
+    _ours(axes, rows, lambda row: float(row["cpu_seconds"]), "claim at")
     _published(axes, rows, others, lambda peer: peer.seconds)
     kinds = ((f"{peer.name}: {peer.hardware}", "blind" if peer.blind else "informed") for peer in others)
     lines = [f"{number} {name}, {kind}" for number, (name, kind) in enumerate(kinds, start=1)]
