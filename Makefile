@@ -4,7 +4,7 @@
 # make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the laboratory, without its long studies;
 # make room-test ROOMS="tests/formats ..." -> what make test leaves to changes of these rooms;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
-# make results -> the README's chart and its table in docs/RESULTS.md, measured anew (six minutes a scene on two cores;
+# make results -> the README's chart and its table in docs/RESULTS.md, measured anew (300 processor seconds a scene;
 #   SCENES="a.ply b.sog": on others than the shipped one);
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
 PYTHON ?= python3
