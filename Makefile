@@ -80,7 +80,7 @@ mutants: $(STAMP)
 
 results: $(STAMP) kernels
 	$(BIN)/mark3dgs evaluate --suite pareto $(addprefix --scene ,$(SCENES)) --out out/results
-	cp out/results/figures/pareto.png out/results/figures/pareto.svg docs/
+	cp out/results/figures/pareto.png docs/
 	sed "s/\"commit\": .*/\"commit\": \"$$(git rev-parse --short HEAD)\",/" out/results/17_profiles.json > docs/results/17_profiles.json
 	$(BIN)/python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md
 
