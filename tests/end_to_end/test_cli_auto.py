@@ -40,6 +40,8 @@ def test_auto_says_what_it_chose_and_verifies(
     assert choice["psnr_db"] == 44.0
     assert choice["met"] == (choice["predicted_z"] >= choice["wanted_z"])
     assert said["seconds_by_stage"]["choose"] > 0
+    assert choice["saved_bytes"] == 0
+    assert abs(choice["saved_seconds"]) < 10 * said["seconds"], "an estimate, of the size of what it is of"
     assert said["psnr_worst_view"] >= 44.0
     code, claim = marked.ask(capsys, "verify", model, "--record", record, "--key", marked.key)
     assert code == 0

@@ -21,7 +21,6 @@ from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.bench.attacks import other_views, to_8_bit
 from engine.lab.evaluate.marked_scene import bench_key
-from engine.lab.evaluate.pareto.pareto_cells import rehearse
 from engine.lab.sim.attacks import image_attack
 from engine.model import GaussianModel
 from engine.raster import render
@@ -55,6 +54,8 @@ def test_a_rich_scene_keeps_its_fidelity(plant: GaussianModel) -> None:
     assert choice.config.view_size == CONFIG.auto.view_size
     assert choice.rehearsal.held_out_db >= 45.0
     assert choice.report() == choose_for(plant, 32).report()
+    assert choice.report().saved_seconds is not None
+    assert choice.report().saved_bytes == 0
 
 
 @pytest.mark.long
@@ -158,7 +159,8 @@ def few(plant: GaussianModel) -> GaussianModel:
 @pytest.mark.long
 def test_more_fidelity_and_fewer_cells_foretell_less(plant: GaussianModel) -> None:
     def foretold(config: EmbedConfig) -> float:
-        return rehearse(plant, bench_key(1), config, DIGEST).predicted_z
+        asked = Auto(config, kept=frozenset({"views", "psnr_db"}))
+        return choose_for(plant, 32, asked).rehearsal.predicted_z
 
     base = foretold(profile("fast"))
     assert foretold(profile("fast", psnr_db=53.0)) < 0.75 * base

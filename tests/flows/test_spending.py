@@ -61,6 +61,9 @@ def test_the_smallest_file_that_shows_the_mark_is_taken(rough: GaussianModel, ch
     assert [way.predicted_z is None for way in spent.ways] == [False, True], "the first did"
     assert choice.rehearsal.predicted_z >= 1.2 * choice.wanted_z, "else the processor decides this test"
     assert spent.bytes_whole == len(encode_model(rough, "ply"))
+    said = choice.report()
+    assert said.saved_bytes == spent.bytes_whole - spent.ways[0].bytes
+    assert said.saved_seconds is None, "what else an allowance would cost is not estimated"
 
 
 def test_what_is_left_keeps_what_was_allowed(choice: Choice) -> None:

@@ -35,6 +35,7 @@ export function assetView(asset, { title, made = {}, again } = {}) {
       fact("Message", h("code", {}, asset.message), h("small", {}, `${report.bits} bits`)),
       fact("Recipient", asset.copy_name || "none"),
       fact("Registered", when(asset.registered_at), h("small", {}, "attested by the log of this service"))),
+    chosen(report.choice),
     files(asset),
     viewer ? [h("h2", {}, "Original and marked"), viewer.element] : null,
     h("h2", {}, "Preview"), preview,
@@ -54,6 +55,18 @@ export function assetView(asset, { title, made = {}, again } = {}) {
     },
     destroy: () => viewer?.destroy(),
   };
+}
+
+/** What Auto chose, and what that saved against Balanced; nothing of other profiles. */
+function chosen(choice) {
+  if (!choice) return null;
+  const { views, psnr_db: db, wanted_z: wanted, predicted_z: predicted, saved_seconds: seconds, saved_bytes: bytes } = choice;
+  const tried = wanted ? `a poor picture should show z ${predicted.toFixed(1)}, and ${wanted.toFixed(1)} is needed` : "no picture was tried";
+  const said = [`Auto chose ${views} views and ${db.toFixed(0)} dB: ${tried}.`];
+  if (bytes > 0) said.push(`The file is ${(bytes / 1e6).toFixed(1)} MB smaller than the whole model's.`);
+  if (typeof seconds === "number")
+    said.push(`This took about ${Math.abs(seconds).toFixed(1)} s ${seconds > 0 ? "less" : "more"} than Balanced would, by an estimate.`);
+  return h("p", { class: "help" }, said.join(" "));
 }
 
 /** Whether the model differs from its original by more than the watermark. */

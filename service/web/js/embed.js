@@ -37,11 +37,13 @@ function request(key) {
   const value = (name) => $(`#mark-${name}`).value.trim();
   const number = (name) => (value(name) ? Number(value(name)) : null);
   const message = value("message").toLowerCase() || null;
+  const profile = $("input[name=profile]:checked").value;
   return {
     key_id: key || null,
     message,
     bits: message ? null : Number(value("bits")),
-    profile: $("input[name=profile]:checked").value,
+    profile,
+    survive: profile === "auto" ? value("survive") : null,
     psnr: number("psnr"),
     budget: number("budget"),
     format: value("format") || null,

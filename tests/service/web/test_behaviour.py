@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 import urllib.request
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tests.service.web.conftest import Served, Watched, shoot, sign_in
 from tests.service.web.journey import LONG, PLANT, check, embed, make_key
@@ -137,6 +138,33 @@ def test_the_whole_form_works_from_the_keyboard(watched: Watched, served: Served
     press("Enter")
     page.get_by_role("button", name="Mark the model").wait_for(timeout=LONG)
     assert focused(page) == "Mark a model"
+
+
+def test_only_auto_asks_what_must_still_show_the_mark(page: Page) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def refuse(route: Route) -> None:
+        asked.append(json.loads(route.request.post_data or ""))
+        route.fulfill(status=422, json={"type": "about:blank", "title": "Refused", "status": 422})
+
+    page.route("**/v1/embed", refuse)
+    make_key(page, "Surviving")
+    survive = page.get_by_label("What must still show the mark")
+    assert survive.input_value() == "pictures"
+    for profile, wanted in (("Auto", "worst"), ("Auto", "model"), ("Fast", None)):
+        page.get_by_label("Model file").set_input_files(PLANT)
+        page.get_by_label(profile).check()
+        if wanted is None:
+            assert survive.is_hidden()
+        else:
+            survive.select_option(wanted)
+        page.get_by_role("button", name="Mark the model").click()
+        page.get_by_role("alert").get_by_text("Refused").wait_for()
+    assert [(each["profile"], each["survive"]) for each in asked] == [
+        ("auto", "worst"),
+        ("auto", "model"),
+        ("fast", None),
+    ]
 
 
 def focused(page: Page) -> str:

@@ -1,1 +1,1 @@
-"""Speed against accuracy: what each setting costs and what it buys. Start at `points`, the settings compared."""
+"""Speed against accuracy: what each profile costs and what it buys. Start at `pareto_study`."""

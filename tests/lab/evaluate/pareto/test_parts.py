@@ -1,109 +1,61 @@
-"""Fronts, points, sums and peers with known answers."""
+"""Domination, peers and what a run leaves for docs/results, with known answers."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
+import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from engine.flows.embed.profiles import AUTO, profile
-from engine.lab.evaluate.pareto.pareto_cells import ATTACKS
-from engine.lab.evaluate.pareto.pareto_charts import draw_bytes_and_seconds, peers
-from engine.lab.evaluate.pareto.pareto_sums import cheapest, pareto_front, results
-from engine.lab.evaluate.pareto.points import BASE, Point, config_of, points
+from engine.lab.evaluate.pareto.pareto_cells import ATTACKS, SETTINGS
+from engine.lab.evaluate.pareto.pareto_charts import Peer, dominated, draw, outdone, peers
+from engine.lab.evaluate.pareto.pareto_study import PAGE, STUDY
 from engine.lab.evaluate.published import Published, read_published
+from engine.lab.evaluate.results_page import draw_page, read_results
+from engine.lab.evaluate.study import Options
 
 
-def test_the_front_is_what_nothing_beats() -> None:
-    #         cheap and poor, dear and rich, beaten, as good but dearer, the cheapest of equals
-    values = [(1.0, 5.0), (4.0, 9.0), (3.0, 4.0), (5.0, 9.0), (2.0, 7.0)]
-    assert pareto_front(values) == [0, 4, 1]
-    assert pareto_front([(1.0, 1.0), (1.0, 3.0)]) == [1]
-    assert pareto_front([]) == []
-
-
-def test_points_turn_one_knob_and_survive_json() -> None:
-    every = points(quick=False)
-    assert every[0] == BASE
-    assert len({point.name for point in every}) == len(every)
-    assert [Point(**json.loads(json.dumps(asdict(point)))) for point in every] == every
-    for point in every:
-        if point.axis not in ("profile", "corner", "auto", "SH degree", "bits"):
-            assert len(point.changes) == 1, point
-
-
-def test_settings_of_points() -> None:
-    assert config_of(BASE) == profile("fast")
-    pruned = config_of(Point("p", "pruning", changes={"budget": 40.0}))
-    assert pruned.prune.budget_db == 40.0
-    assert config_of(Point("c", "cells", changes={"cells": 1024})).quantize.cells == 1024
-    assert config_of(Point("s", "corner", "strong"), landmark_views=0).landmark_views == 0
-
-
-def test_what_changes_the_delivered_model_has_landmarks_of_its_own() -> None:
-    own = {point.name for point in points(quick=False) if not point.shares_landmarks}
-    assert {"fast", "auto", "SH-0", "pruning-35.0", "smallest", "landmarks-16", "leanest"} <= own
-    assert own.isdisjoint({"balanced", "views-2", "cells-1024", "bits-256", "fidelity-53.0"})
-
-
-def row(point: Point, seconds: float, z: float, *, bits: int = 32, db: float = 46.0) -> dict[str, Any]:
-    base = {"z": 99.0, "bit_accuracy": 1.0, "matching": 32, "read": 32, "log10_false_claim": -100.0}
-    attacks: dict[str, Any] = {trial.label: dict(base) for trial in ATTACKS}
-    attacks["picture, JPEG 10"] |= {"z": z, "matching": bits}
+def row(setting: str, seconds: float, size: float, db: float, z: float, scene: str = "a.ply") -> dict[str, Any]:
     return {
-        "point": asdict(point),
-        "stages": {"look": seconds, "landmarks": 0.0 if point != BASE else 4.0},
-        "cpu_seconds": [seconds + (7.0 if point == BASE else 0.0), seconds, seconds],
-        "shares_landmarks": point.shares_landmarks,
-        "attacks": attacks,
-        "psnr_held_out": [50.0, db],
-        "landmark_views": config_of(point).landmark_views,
+        "scene": scene,
+        "setting": setting,
+        "cpu_seconds": seconds,
+        "bytes": round(1000 * size),
+        "bytes_whole": 1000,
+        "gaussians_out": 10,
+        "psnr_unseen": db,
+        "psnr_of_mark": db,
+        "z": {trial.label: z + k for k, trial in enumerate(ATTACKS)},
+        "worst_z": z,
+        "bits_right": 1.0,
     }
 
 
-def test_sums_and_the_cheapest_that_will_do() -> None:
-    lean = Point("lean", "views", changes={"views": 2})
-    thin, blind = (Point("l", "l", changes={"landmark_views": views}) for views in (16, 0))
-    rows = [
-        row(BASE, 2.0, 20.0),
-        row(lean, 1.0, 20.0, db=41.0),
-        row(Point("a", "cells", changes={"cells": 1024}), 1.5, 15.0),
-        row(Point("b", "cells", changes={"cells": 2048}), 0.5, 7.0),
-        row(blind, 0.1, 30.0),
-        row(thin, 0.2, 30.0),
-        {"refused": "no"},
-    ]
-    found = results(rows)
-    assert [result.embed_seconds for result in found] == [6.0, 5.0, 5.5, 4.5, 0.1, 0.2]
-    assert [result.cpu_seconds for result in found] == [9.0, 8.0, 8.5, 7.5, 0.1, 0.2]
-    assert found[0].worst_attack == "picture, JPEG 10"
-    assert found[0].picture_z == 20.0
-    best = cheapest(found, margin=1.5, least_db=45.0)
-    assert best is not None
-    assert best.point.name == "a", "too dim, too weak, and hardly or never findable ones are cheaper"
-    assert cheapest(found, margin=10.0, least_db=45.0) is None
-    spoilt = results([row(BASE, 2.0, 20.0, bits=31)])
-    assert spoilt[0].matching == spoilt[0].read - 1
-    assert spoilt[0].picture_bits == pytest.approx(100 * 31 / 32)
-    assert cheapest(spoilt, margin=1.0, least_db=45.0) is None
+ROWS = [
+    row("fast", 5.0, 1.0, 45.0, 20.0),
+    row("balanced", 7.0, 1.0, 47.0, 20.0),
+    row("strong", 7.0, 1.0, 44.0, 19.9),
+    row("auto", 5.05, 1.0, 45.0, 20.1),
+    row("auto, 40 dB", 15.0, 0.6, 40.0, 20.0),
+    row("paper", 100.0, 0.6, 30.0, 10.0),
+    row("fast", 4.0, 0.5, 50.0, 40.0, "b.ply"),
+]
 
 
-def test_bytes_and_seconds_against_fidelity_name_what_auto_chose() -> None:
-    allowed = [Point(f"allowed-{db:g}", "allowance", AUTO, {"budget": db}) for db in (40.0, 30.0)]
-    rows = [row(point, 2.0, 20.0 + n) for n, point in enumerate([BASE, *allowed])]
-    for base, size, quality in zip(rows, (4e6, 3e6, 1e6), (47.0, 39.0, 29.5), strict=True):
-        base |= {"sog_bytes": size, "psnr_total_held_out": quality}
-    drawn = draw_bytes_and_seconds(results(rows))
-    left, right = drawn.axes
-    assert [text.get_text() for text in left.texts] == ["30, z 22", "40, z 21"]
-    assert left.get_title() == "Down to 25 % of the bytes by what loss is allowed"
-    (line,) = (line for line in left.lines if line.get_label() == "auto, loss allowed")
-    assert (list(line.get_xdata()), list(line.get_ydata())) == ([1.0, 3.0], [29.5, 39.0])
-    (line,) = (line for line in right.lines if line.get_label() == "auto, loss allowed")
-    assert list(line.get_xdata()) == [2.0, 2.0]
-    assert draw_bytes_and_seconds(results(rows[:1])).axes[0].get_title() == "What the delivered file takes"
+def test_grey_is_what_another_setting_of_the_scene_beats() -> None:
+    grey = [row["setting"] for row in ROWS if dominated(row, ROWS)]
+    assert grey == ["strong", "paper"], "what differs by less than a repetition does is alike"
+
+
+def test_bits_as_z_bound_the_chance_of_a_wrong_key() -> None:
+    whole = Peer("A", "GPU", True, 60.0, 100.0, 40.0, "v", "s")
+    assert math.exp(-(whole.z**2) / 2) == pytest.approx(2.0**-32)
+    all_but_one = Peer("A", "GPU", True, 60.0, 100 * 31 / 32, 40.0, "v", "s")
+    assert math.exp(-(all_but_one.z**2) / 2) == pytest.approx(33 * 2.0**-32)
+    assert outdone(whole, ROWS)
+    assert not outdone(Peer("A", "GPU", True, 3.0, 100.0, None, "v", "s"), ROWS), "sooner than any of ours"
+    assert not outdone(Peer("A", "GPU", True, 60.0, 100.0, 51.0, "v", "s"), ROWS)
 
 
 def test_peers_are_at_their_worst_picture() -> None:
@@ -118,6 +70,39 @@ def test_peers_are_at_their_worst_picture() -> None:
         said("A", "bit accuracy", 50.0, "32 bits, clone 50 %"),
         said("B", "PSNR", 40.0, "", blind=False),
     ]
-    assert peers(some, "bits") == [("A, GPU", 60.0, 91.0, True)]
-    assert peers(some, "PSNR") == []
-    assert len(peers(read_published(), "bits")) >= 5
+    assert peers(some) == [Peer("A", "GPU", True, 60.0, 91.0, None, "v", "s")]
+    assert len(peers(read_published())) >= 5
+
+
+def test_every_setting_is_a_cell_of_its_own() -> None:
+    cells = STUDY.cells(Options(("a.ply", "b.compressed.ply")))
+    assert len({cell.name for cell in cells}) == len(cells) == 2 * len(SETTINGS)
+
+
+def test_the_chart_shows_every_point_in_every_panel() -> None:
+    others = peers(read_published())
+    panels = draw(ROWS, others, "2 cores").axes
+    points = [[(*line.get_xdata(), *line.get_ydata()) for line in axes.lines] for axes in panels]
+    for row in ROWS:
+        costs = (row["cpu_seconds"], row["cpu_seconds"], row["bytes"] / 10, row["psnr_unseen"])
+        for cost, drawn in zip(costs, points, strict=True):
+            assert (cost, row["worst_z"]) in drawn
+    (listed,) = (text.get_text() for text in panels[0].texts if "Hollow" in text.get_text())
+    assert [line.split(":")[0] for line in listed.split("\n")[1:]] == [
+        f"{number} {peer.name}" for number, peer in enumerate(others, start=1)
+    ]
+    assert panels[0].get_title().startswith("Ours: z 20 and more; published: z 5.")
+    assert panels[1].get_title() == "Seconds: auto takes 0.72 to 0.72 of balanced"
+
+
+def test_a_run_leaves_a_result_for_the_page(tmp_path: Path) -> None:
+    made = STUDY.report(ROWS, Options(("a.ply", "b.ply"), seed=3))
+    (tmp_path / PAGE).write_text(made.pages[PAGE])
+    (result,) = read_results(tmp_path)
+    assert result.seed == "3"
+    assert result.rows[0] == ("fast", "5.0 / 4.0", "20 / 40", "100 %", "100 % / 50 %", "45.0 / 50.0")
+    assert "| balanced (a) | 7.0 | 20 | 100 % |" in draw_page([result])
+    said = ["6 of 6 (95 %: 54 to 100 %)", "a 1.01 (one run each)", "a 0.72 (one run each)"]
+    assert [(bar.measured, bar.met) for bar in made.bars] == [(text, True) for text in said]
+    torn = STUDY.report([ROWS[1] | {"bits_right": 31 / 32}], Options(("a.ply",)))
+    assert [(bar.measured.split("; ")[-1], bar.met) for bar in torn.bars[:1]] == [("balanced on a 97 %", False)]
