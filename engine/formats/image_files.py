@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image, ImageChops, ImageCms, ImageOps
 
 from engine.errors import FormatError, InputError
+from engine.formats.color_coding import coding_of
 from engine.formats.splat import looks_like_splat
 from engine.model import Float32
 
@@ -19,6 +20,7 @@ MAX_PIXELS_TOGETHER = 200_000_000
 _DNG_VERSION = 50706  # tag
 _SRGB = ImageCms.createProfile("sRGB")
 _ROUNDING = 2  # levels of 255
+_MAX_HEAD = 1 << 16  # bytes
 
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
@@ -45,31 +47,48 @@ def is_picture(path: Path, name: str = "") -> bool:
 
 def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) -> Float32:
     """(H, W, 3) float32 in 0..1, upright, transparent parts over black, of a file, or of its content, which messages
-    call `name`; in sRGB where `managed`, else whatever its color profile says. FormatError if it is no picture, is
-    damaged, holds several or a camera's raw values, or has more than MAX_PICTURE_PIXELS pixels."""
+    call `name`; in sRGB where `managed`, else whatever its color profile or its coding says. FormatError if it is no
+    picture, is damaged, holds several or a camera's raw values, or has more than MAX_PICTURE_PIXELS pixels."""
     file = name or str(source)
     opened = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(opened) as picture:  # of damage that is read around
             check_picture(picture, file)
+            coding = coding_of(_head(picture), picture.info) if managed else None
             picture.load()
             upright = ImageOps.exif_transpose(picture)
-            upright = _in_srgb(upright) if managed else upright
+            upright = _in_srgb(upright) if managed and coding is None else upright
     except FormatError:
         raise
     except Image.DecompressionBombError as error:
         raise FormatError("picture has too many pixels", file=file) from error
     except Exception as error:  # decoders raise whatever they stumble over
         raise FormatError(f"no readable picture ({error})", file=file) from error
-    if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
-        gray = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
+    values = _values(upright, layers=picture.format != "BMP")
+    return values if coding is None else coding.to_srgb(values)
+
+
+def _head(picture: Image.Image) -> bytes:
+    """The first bytes of a PNG, up to its pixels, or of an AVIF."""
+    if picture.format not in ("PNG", "AVIF") or picture.fp is None:
+        return b""
+    at = picture.fp.tell()
+    picture.fp.seek(0)
+    head: bytes = picture.fp.read(min(at, _MAX_HEAD))
+    picture.fp.seek(at)
+    return head
+
+
+def _values(picture: Image.Image, *, layers: bool) -> Float32:
+    """(H, W, 3) from 0 to 1; what should be the transparency of a BMP is often 0 everywhere: viewers leave it out."""
+    if picture.mode.startswith("I;16") or picture.mode == "I":  # 16-bit grey
+        gray = np.asarray(picture, dtype=np.float32) / np.float32(65535.0)
         return np.ascontiguousarray(np.repeat(np.clip(gray, 0.0, 1.0)[:, :, None], 3, axis=2))
-    # What should be the transparency of a BMP is often 0 everywhere: viewers leave it out.
-    if picture.format != "BMP" and ("A" in upright.getbands() or "transparency" in upright.info):
-        layered = upright.convert("RGBA")
-        upright = Image.new("RGBA", layered.size, (0, 0, 0, 255))
-        upright.alpha_composite(layered)
-    levels = np.asarray(upright.convert("RGB"), dtype=np.float32)
+    if layers and ("A" in picture.getbands() or "transparency" in picture.info):
+        layered = picture.convert("RGBA")
+        picture = Image.new("RGBA", layered.size, (0, 0, 0, 255))
+        picture.alpha_composite(layered)
+    levels = np.asarray(picture.convert("RGB"), dtype=np.float32)
     return np.ascontiguousarray(levels / np.float32(255.0))
 
 

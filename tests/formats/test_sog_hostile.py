@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.sog.bundle import read_sog, write_sog
@@ -189,3 +191,46 @@ def test_any_member_of_meta_may_be_anything(member, value):
     except FormatError:
         return
     assert_valid(model)
+
+
+def _reencoded(scene: bytes, change: Callable[[Image.Image], bytes]) -> bytes:
+    parts = unbundle(scene)
+    images = {name: Image.open(io.BytesIO(part)).convert("RGBA") for name, part in parts.items() if name != "meta.json"}
+    return bundle(parts | {name: change(image) for name, image in images.items()})
+
+
+def _saved(image: Image.Image, kind: str = "PNG", **options: object) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5, 2, 3])
+@pytest.mark.parametrize("method", [Image.Resampling.NEAREST, Image.Resampling.BILINEAR])
+def test_images_that_were_resized_are_refused_with_the_cause(factor: float, method: Image.Resampling) -> None:
+    for n in (300, 3000):
+        resized = _reencoded(
+            write_sog(random_model(0, n)),
+            lambda image: _saved(image.resize((int(image.width * factor), int(image.height * factor)), method)),
+        )
+        with pytest.raises(FormatError, match=r"resizing.*destroys.*export the scene again"):
+            read_sog(resized, file="x")
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "WEBP", "lossy, then PNG", "palette"])
+def test_images_that_were_packed_with_loss_are_refused_with_the_cause(kind: str) -> None:
+    def pack(image: Image.Image) -> bytes:
+        if kind == "palette":
+            return _saved(image.quantize(256))
+        if kind == "lossy, then PNG":
+            return _saved(Image.open(io.BytesIO(_saved(image, "WEBP", quality=95))))
+        return _saved(image.convert("RGB"), kind)
+
+    with pytest.raises(FormatError, match=r"with loss.*destroys.*export the scene again"):
+        read_sog(_reencoded(write_sog(random_model(1, 3000)), pack), file="x")
+
+
+def test_images_packed_without_loss_are_read() -> None:
+    scene = write_sog(random_model(1, 3000))
+    again, _ = read_sog(_reencoded(scene, lambda image: _saved(image, optimize=True)), file="x")
+    np.testing.assert_array_equal(again.means, read_sog(scene, file="x")[0].means)
