@@ -5,12 +5,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image, ImageChops, ImageCms, ImageOps
 
 from engine.errors import FormatError, InputError
 from engine.formats.color_coding import coding_of
 from engine.formats.splat import looks_like_splat
-from engine.model import Float32
+from engine.model import Float32, Float64
 
 MAX_PICTURE_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded: no screen or phone makes them."""
@@ -105,6 +106,15 @@ def check_picture(picture: Image.Image, file: str) -> None:
         raise FormatError(message, file=file)
     if picture.mode == "F" or (picture.mode == "I" and picture.format == "TIFF"):
         raise FormatError("holds numbers of 32 bits, of no agreed range: save it as PNG, as it is displayed", file=file)
+
+
+def nearest_pixels(pixels: Float32, at: npt.NDArray[np.floating]) -> Float64:
+    """(N, 3) values of the pixels nearest to texture coordinates (N, 2), from 0 to 1 to the right and down; the picture
+    (H, W, 3) repeats beyond its borders."""
+    height, width = pixels.shape[:2]
+    sound = np.where(np.isfinite(at), at, 0.0).astype(np.float64) % 1.0
+    column, row = (np.minimum((sound[:, i] * n).astype(np.int64), n - 1) for i, n in ((0, width), (1, height)))
+    return np.asarray(pixels[row, column], dtype=np.float64)
 
 
 def _in_srgb(picture: Image.Image) -> Image.Image:

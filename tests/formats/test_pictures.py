@@ -104,7 +104,7 @@ def png_with(values: np.ndarray, *chunks: tuple[bytes, bytes]) -> bytes:
 PQ, HLG, SHOWN = [0.5807, 0.4403, 0.1882], [0.75, 0.4971, 0.13], [1.0, 0.5334, 0.0989]
 
 
-@pytest.mark.parametrize("transfer, signal", [(16, PQ), (18, HLG)])
+@pytest.mark.parametrize(("transfer", "signal"), [(16, PQ), (18, HLG)])
 def test_hdr_screenshots_are_read_as_srgb(transfer: int, signal: list[float], tmp_path: Path) -> None:
     gray = np.repeat(np.array(signal)[None, :, None], 3, axis=2)
     data = png_with(gray, (b"cICP", bytes([9, transfer, 0, 1])))

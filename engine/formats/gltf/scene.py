@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
+from engine.formats.gltf.container import MAGIC, UNPACK, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, primitives_of, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
@@ -36,6 +36,12 @@ TO_PLY = FrameChange(np.array([-1.0, -1.0, 1.0]))
 SPZ = EXTENSION + "_compression_spz_2"
 _KNOWN = {EXTENSION, SPZ, "KHR_mesh_quantization", "KHR_materials_unlit"}
 """What a file may require: the second allows integers for positions, the third says how points look elsewhere."""
+_PACKINGS = {
+    "KHR_draco_mesh_compression": UNPACK,
+    "EXT_meshopt_compression": UNPACK,
+    "KHR_meshopt_compression": UNPACK,
+    "KHR_texture_basisu": "export it with PNG or JPEG textures",
+}
 _FLOAT, _POINTS, _ARRAY_BUFFER = 5126, 0, 34962
 _DRAFTS = ("KHR_gaussian_splatting_", "KHR_spz_", "EXT_gaussian_splatting")
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -158,6 +164,8 @@ def _check_required(asset: Asset) -> None:
 
 
 def _unsupported(asset: Asset, name: str) -> UnsupportedFormatError:
+    if name in _PACKINGS:
+        return UnsupportedFormatError(f"is packed ({name}): {_PACKINGS[name]}", file=asset.file, element="extensions")
     draft = ", a draft that is not settled" if name.startswith(_DRAFTS) else ""
     message = f"needs the extension {ascii(name)[:80]}{draft}; export uncompressed {EXTENSION}, .spz or .ply"
     return UnsupportedFormatError(message, file=asset.file, element="extensions")
