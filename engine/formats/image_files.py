@@ -1,15 +1,17 @@
 """Picture files: known by their first bytes, read as floats."""
 
 import io
+import re
 import warnings
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageChops, ImageCms, ImageOps
+from PIL import Image, ImageChops, ImageCms, ImageOps, UnidentifiedImageError
 
 from engine.errors import FormatError, InputError
 from engine.formats.color_coding import coding_of
+from engine.formats.other_files import RAW_ENDINGS, RAW_PHOTO
 from engine.formats.splat import looks_like_splat
 from engine.model import Float32, Float64
 
@@ -18,7 +20,7 @@ MAX_PICTURE_PIXELS = 64_000_000
 MAX_PIXELS_TOGETHER = 200_000_000
 """Of all pictures of one suspect: 2.4 GB in memory."""
 
-_DNG_VERSION = 50706  # tag
+_DNG_VERSION, _BITS, _PLANES, _SEPARATE = 50706, 258, 284, 2  # tags, and a value
 _SRGB = ImageCms.createProfile("sRGB")
 _ROUNDING = 2  # levels of 255
 _MAX_HEAD = 1 << 16  # bytes
@@ -27,9 +29,10 @@ _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM
 
 
 def _starts_like_picture(head: bytes) -> bool:
-    """Whether 12 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
+    """Whether 64 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
     webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
-    return webp or head.startswith(_MAGICS) or head[4:12] in (b"ftypavif", b"ftypavis")
+    avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
+    return webp or avif or head.startswith(_MAGICS)
 
 
 def is_picture(path: Path, name: str = "") -> bool:
@@ -39,7 +42,7 @@ def is_picture(path: Path, name: str = "") -> bool:
         return False
     try:
         with path.open("rb") as file:
-            starts = _starts_like_picture(file.read(12))
+            starts = _starts_like_picture(file.read(64))
         named = (name or path.name).lower().endswith(".splat")
         return starts and not (named and looks_like_splat(path.read_bytes()))
     except OSError as error:
@@ -64,6 +67,12 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     except Image.DecompressionBombError as error:
         raise FormatError("picture has too many pixels", file=file) from error
     except Exception as error:  # decoders raise whatever they stumble over
+        if isinstance(error, UnidentifiedImageError):
+            is_raw = file.lower().endswith(RAW_ENDINGS)
+            text = (
+                RAW_PHOTO if is_raw else "no readable picture (damaged, or of a kind that is not read): save it as PNG"
+            )
+            raise FormatError(text, file=file) from error
         raise FormatError(f"no readable picture ({error})", file=file) from error
     values = _values(upright, layers=picture.format != "BMP")
     return values if coding is None else coding.to_srgb(values)
@@ -99,8 +108,11 @@ def check_picture(picture: Image.Image, file: str) -> None:
     if picture.width * picture.height > MAX_PICTURE_PIXELS:
         raise FormatError(f"{picture.width}x{picture.height} pixels, which is too large", file=file)
     frames = getattr(picture, "n_frames", 1)
-    if _DNG_VERSION in getattr(picture, "tag_v2", ()):
-        raise FormatError("is a camera's raw file (DNG): save the developed picture as PNG or JPEG", file=file)
+    tags = getattr(picture, "tag_v2", {})
+    if _DNG_VERSION in tags:
+        raise FormatError(RAW_PHOTO, file=file)
+    if tags.get(_PLANES) == _SEPARATE and max(tags.get(_BITS, (8,))) > 8:  # Pillow takes one plane for the whole
+        raise FormatError("holds its channels of 16 bits one after another: save it as PNG", file=file)
     if frames > 1 and picture.format != "MPO":  # a phone's JPEG, with its depth or brightness as a second picture
         message = f"holds {frames} pictures (an animation, or pages): save those that show something, each as a PNG"
         raise FormatError(message, file=file)

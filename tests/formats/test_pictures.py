@@ -181,6 +181,31 @@ def test_files_that_are_more_than_one_picture_are_refused(tmp_path: Path) -> Non
         read_picture(tmp_path / "a.dng")
 
 
+def test_kinds_that_are_not_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "photo.CR2").write_bytes(b"II*\0\x10\0\0\0CR\2\0" + bytes(200))
+    with pytest.raises(FormatError, match=r"raw file.*as PNG"):
+        read_picture(tmp_path / "photo.CR2")
+    (tmp_path / "half.tif").write_bytes(b"II*\0\x10\0\0\0" + bytes(200))
+    with pytest.raises(FormatError, match=r"of a kind that is not read.*as PNG"):
+        read_picture(tmp_path / "half.tif")
+    # 16 bits a channel, red after green after blue: of width and height 1, uncompressed
+    tags = [(256, 3, 1, 1), (257, 3, 1, 1), (258, 3, 3, 134), (259, 3, 1, 1), (262, 3, 1, 2), (273, 3, 3, 140)]
+    tags += [(277, 3, 1, 3), (279, 3, 3, 146), (284, 3, 1, 2), (278, 3, 1, 1)]
+    rows = b"".join(struct.pack("<HHII", *tag) for tag in sorted(tags))
+    body = struct.pack("<9H", 16, 16, 16, 152, 154, 156, 2, 2, 2) + bytes(6)
+    with pytest.raises(FormatError, match="one after another"):
+        read_picture(b"II*\0\10\0\0\0" + struct.pack("<H", len(tags)) + rows + bytes(4) + body)
+
+
+@pytest.mark.skipif(not features.check("avif"), reason="this Pillow was built without AVIF")
+def test_an_avif_may_name_its_kind_second(tmp_path: Path) -> None:
+    Image.new("RGB", (32, 24), (255, 128, 0)).save(tmp_path / "a.avif")
+    data = (tmp_path / "a.avif").read_bytes()
+    (tmp_path / "b.avif").write_bytes(data[:8] + b"mif1" + data[12:])
+    assert is_picture(tmp_path / "b.avif")
+    assert read_picture(tmp_path / "b.avif").shape == (24, 32, 3)
+
+
 def test_damaged_and_huge_pictures_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Image.effect_noise((64, 64), 80).save(tmp_path / "a.png")
     whole = (tmp_path / "a.png").read_bytes()

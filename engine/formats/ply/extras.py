@@ -43,7 +43,7 @@ _MOTION = re.compile(
 
 _DRAWN = re.compile(
     r"(f_|features?_)?(asg|sg|sb|sv|latent|appearance|brdf|albedo|base_color|roughness|metallic|refl\w*|specular\w*"
-    r"|diffuse|incidents?|visibility|tex|texture)_|(roughness|metallic|metalness|reflect\w*|specular\w*|beta|shape"
+    r"|diffuse|incidents?|visibility|tex|texture)_|(roughness|metallic|metalness|reflect|specular)\w*$|(beta|shape"
     r"|nu_degree|nu)$"
 )
 """Spherical Gaussians, anisotropic ones, betas and Voronoi cells; latent colors; materials; textures; other kernels."""
@@ -56,7 +56,8 @@ def is_motion(name: str) -> bool:
 
 def refuse_motion(vertex: Element, *, file: str) -> None:
     """UnsupportedFormatError naming the properties if these Gaussians move: nothing of it has a place in a model."""
-    moving = [p.name for p in vertex.properties if is_motion(p.name)]
+    textured = {"s", "t"} <= vertex.names  # coordinates of a texture, as Blender writes them
+    moving = [p.name for p in vertex.properties if is_motion(p.name) and not (textured and p.name == "t")]
     if moving:
         lite = ": a Spacetime clip, which embed and verify take as what it is" if "trbf_center" in moving else ""
         message = f"the Gaussians move{lite}; as a model that stands still it would lose {named(moving)}"
