@@ -30,6 +30,8 @@ _PRIMARIES = {
 }
 """x and y of white, red, green and blue. Those of television before BT.709 are close to it."""
 
+_ROWS_AT_ONCE = 64  # of a picture, in double precision
+
 _SRGB_GAMMA, _SAME_GAMMA = 0.45455, 0.01
 
 
@@ -69,7 +71,10 @@ class Coding:
         """(H, W, 3) sRGB values of such ones. Light beyond white is scaled down to it, but for the brightest pixels."""
         matrix = np.linalg.solve(_to_xyz(_PRIMARIES[1]), _to_xyz(self.primaries))
         matrix /= matrix.sum(axis=1, keepdims=True)  # white stays white
-        light = self.light(values.astype(np.float64)) @ matrix.T
+        light = np.empty_like(values)
+        for top in range(0, len(values), _ROWS_AT_ONCE):
+            block = values[top : top + _ROWS_AT_ONCE].astype(np.float64)
+            light[top : top + _ROWS_AT_ONCE] = self.light(block) @ matrix.T
         white = max(1.0, float(np.quantile(light.max(axis=2), _BRIGHTEST)))
         return from_linear(np.clip(light / white, 0.0, 1.0)).astype(np.float32)
 
@@ -81,15 +86,14 @@ def _to_xyz(primaries: tuple[float, ...]) -> Float64:
     return np.asarray(xyz[:, 1:] * np.linalg.solve(xyz[:, 1:], xyz[:, 0]))
 
 
-def coding_of(head: bytes, info: Mapping[str, Any]) -> Coding | None:
+def coding_of(head: bytes, info: Mapping[Any, Any]) -> Coding | None:
     """The coding of a PNG or an AVIF, by its bytes before the pixels and by what Pillow read of them; None for sRGB, or
     where a color profile counts."""
     found = _SIGNALLED.search(head)
     if found and (found[1] or "icc_profile" not in info):
         primaries, transfer = tuple(found[1]) if found[1] else struct.unpack(">HH", found[2])
-        if primaries == 1 and transfer not in _LIGHT:
-            return None
-        return Coding(_PRIMARIES.get(primaries, _PRIMARIES[1]), _LIGHT.get(transfer, to_linear))
+        coding = Coding(_PRIMARIES.get(primaries, _PRIMARIES[1]), _LIGHT.get(transfer, to_linear))
+        return None if coding == Coding(_PRIMARIES[1]) else coding
     gamma = info.get("gamma", _SRGB_GAMMA)
     if "icc_profile" in info or "srgb" in info or abs(gamma - _SRGB_GAMMA) < _SAME_GAMMA or not 0.1 < gamma <= 2:
         return None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageChops, ImageCms, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageChops, ImageCms, ImageFile, ImageOps, UnidentifiedImageError
 
 from engine.errors import FormatError, InputError
 from engine.formats.color_coding import coding_of
@@ -78,7 +78,7 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     return values if coding is None else coding.to_srgb(values)
 
 
-def _head(picture: Image.Image) -> bytes:
+def _head(picture: ImageFile.ImageFile) -> bytes:
     """The first bytes of a PNG, up to its pixels, or of an AVIF."""
     if picture.format not in ("PNG", "AVIF") or picture.fp is None:
         return b""

@@ -137,6 +137,7 @@ def test_other_codings_of_png_and_avif(tmp_path: Path) -> None:
         ([(b"cICP", bytes([1, 13, 0, 1]))], 0.5),
         ([(b"cICP", bytes([12, 13, 0, 1]))], 0.5),
         ([(b"cICP", bytes([77, 99, 0, 1]))], 0.5),
+        ([(b"cICP", bytes([2, 4, 0, 1]))], 0.5 ** (2.2 / 2.4) * 1.055 - 0.055),
         ([(b"gAMA", struct.pack(">I", 0))], 0.5),
     ):
         np.testing.assert_allclose(read_picture(png_with(half, *chunks)), expected, atol=0.01, err_msg=str(chunks))
@@ -145,6 +146,8 @@ def test_other_codings_of_png_and_avif(tmp_path: Path) -> None:
         Image.new("RGB", (16, 16), (112, 112, 112)).save(buffer, "AVIF", quality=100)
         plain = buffer.getvalue()
         at = plain.index(b"colrnclx") + 8
+        unspecified = plain[:at] + struct.pack(">HH", 2, 2) + plain[at + 4 :]
+        np.testing.assert_array_equal(read_picture(unspecified), read_picture(plain))
         np.testing.assert_allclose(read_picture(plain), 0.44, atol=0.02)
         hdr = plain[:at] + struct.pack(">HH", 9, 16) + plain[at + 4 :]
         np.testing.assert_allclose(read_picture(hdr), SHOWN[1], atol=0.03)
