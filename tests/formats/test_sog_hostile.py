@@ -35,6 +35,7 @@ LIES = {
     "means.files": [None, ["means_l.webp"], ["../means_l.webp", "means_u.webp"], ["means_l.webp", 5]],
     "quats.files": [["/etc/passwd"], ["a/b.webp"], [".."], [""], ["missing.webp"], ["meta.json"], ["q\\q.webp"]],
     "means.mins": [[0, 0], [0, 0, "0"], [0, 0, float("nan")], [0, 0, 1e40], 0, [0, 0, True]],
+    "means.maxs": [[0, 0, -1e3]],
     "scales.codebook": [None, [], [0.0] * 257, ["a"] * 256, [None] * 256, [float("inf")] * 256],
     "shN": [7, {}],
     "shN.bands": [None, 0, 2, 4, 1.0],
@@ -228,6 +229,20 @@ def test_images_that_were_packed_with_loss_are_refused_with_the_cause(kind: str)
 
     with pytest.raises(FormatError, match=r"with loss.*destroys.*export the scene again"):
         read_sog(_reencoded(write_sog(random_model(1, 3000)), pack), file="x")
+
+
+def test_images_that_lost_their_transparency_are_refused() -> None:
+    opaque = _reencoded(write_sog(random_model(1, 300)), lambda image: _saved(image.convert("RGB")))
+    with pytest.raises(FormatError, match=r"transparency.*is gone"):
+        read_sog(opaque, file="x")
+
+
+def test_a_count_beyond_the_rotations_is_refused() -> None:
+    scene = write_sog(random_model(0, 3000))
+    with pytest.raises(FormatError, match=r"meta\.json counts too many"):
+        read_sog(with_meta(scene, count=3100), file="x")
+    with pytest.raises(FormatError, match=r"beyond the 500 Gaussians of meta\.json"):
+        read_sog(with_meta(scene, count=500), file="x")
 
 
 def test_images_packed_without_loss_are_read() -> None:
