@@ -1,32 +1,38 @@
 """Picture files: known by their first bytes, read as floats."""
 
 import io
+import re
 import warnings
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageChops, ImageCms, ImageOps
+import numpy.typing as npt
+from PIL import Image, ImageChops, ImageCms, ImageFile, ImageOps, UnidentifiedImageError
 
 from engine.errors import FormatError, InputError
+from engine.formats.color_coding import coding_of
 from engine.formats.kinds.splat import looks_like_splat
-from engine.model import Float32
+from engine.formats.other_files import RAW_ENDINGS, RAW_PHOTO
+from engine.model import Float32, Float64
 
 MAX_PICTURE_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded: no screen or phone makes them."""
 MAX_PIXELS_TOGETHER = 200_000_000
 """Of all pictures of one suspect: 2.4 GB in memory."""
 
-_DNG_VERSION = 50706  # tag
+_DNG_VERSION, _BITS, _PLANES, _SEPARATE = 50706, 258, 284, 2  # tags, and a value
 _SRGB = ImageCms.createProfile("sRGB")
 _ROUNDING = 2  # levels of 255
+_MAX_HEAD = 1 << 16  # bytes
 
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
 
 def _starts_like_picture(head: bytes) -> bool:
-    """Whether 12 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
+    """Whether 64 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
     webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
-    return webp or head.startswith(_MAGICS) or head[4:12] in (b"ftypavif", b"ftypavis")
+    avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
+    return webp or avif or head.startswith(_MAGICS)
 
 
 def is_picture(path: Path, name: str = "") -> bool:
@@ -36,7 +42,7 @@ def is_picture(path: Path, name: str = "") -> bool:
         return False
     try:
         with path.open("rb") as file:
-            starts = _starts_like_picture(file.read(12))
+            starts = _starts_like_picture(file.read(64))
         named = (name or path.name).lower().endswith(".splat")
         return starts and not (named and looks_like_splat(path.read_bytes()))
     except OSError as error:
@@ -45,31 +51,54 @@ def is_picture(path: Path, name: str = "") -> bool:
 
 def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) -> Float32:
     """(H, W, 3) float32 in 0..1, upright, transparent parts over black, of a file, or of its content, which messages
-    call `name`; in sRGB where `managed`, else whatever its color profile says. FormatError if it is no picture, is
-    damaged, holds several or a camera's raw values, or has more than MAX_PICTURE_PIXELS pixels."""
+    call `name`; in sRGB where `managed`, else whatever its color profile or its coding says. FormatError if it is no
+    picture, is damaged, holds several or a camera's raw values, or has more than MAX_PICTURE_PIXELS pixels."""
     file = name or str(source)
     opened = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(opened) as picture:  # of damage that is read around
             check_picture(picture, file)
+            coding = coding_of(_head(picture), picture.info) if managed else None
             picture.load()
             upright = ImageOps.exif_transpose(picture)
-            upright = _in_srgb(upright) if managed else upright
+            upright = _in_srgb(upright) if managed and coding is None else upright
     except FormatError:
         raise
     except Image.DecompressionBombError as error:
         raise FormatError("picture has too many pixels", file=file) from error
     except Exception as error:  # decoders raise whatever they stumble over
+        if isinstance(error, UnidentifiedImageError):
+            is_raw = file.lower().endswith(RAW_ENDINGS)
+            text = (
+                RAW_PHOTO if is_raw else "no readable picture (damaged, or of a kind that is not read): save it as PNG"
+            )
+            raise FormatError(text, file=file) from error
         raise FormatError(f"no readable picture ({error})", file=file) from error
-    if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
-        gray = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
+    values = _values(upright, layers=picture.format != "BMP")
+    return values if coding is None else coding.to_srgb(values)
+
+
+def _head(picture: ImageFile.ImageFile) -> bytes:
+    """The first bytes of a PNG, up to its pixels, or of an AVIF."""
+    if picture.format not in ("PNG", "AVIF") or picture.fp is None:
+        return b""
+    at = picture.fp.tell()
+    picture.fp.seek(0)
+    head: bytes = picture.fp.read(min(at, _MAX_HEAD))
+    picture.fp.seek(at)
+    return head
+
+
+def _values(picture: Image.Image, *, layers: bool) -> Float32:
+    """(H, W, 3) from 0 to 1; what should be the transparency of a BMP is often 0 everywhere: viewers leave it out."""
+    if picture.mode.startswith("I;16") or picture.mode == "I":  # 16-bit grey
+        gray = np.asarray(picture, dtype=np.float32) / np.float32(65535.0)
         return np.ascontiguousarray(np.repeat(np.clip(gray, 0.0, 1.0)[:, :, None], 3, axis=2))
-    # What should be the transparency of a BMP is often 0 everywhere: viewers leave it out.
-    if picture.format != "BMP" and ("A" in upright.getbands() or "transparency" in upright.info):
-        layered = upright.convert("RGBA")
-        upright = Image.new("RGBA", layered.size, (0, 0, 0, 255))
-        upright.alpha_composite(layered)
-    levels = np.asarray(upright.convert("RGB"), dtype=np.float32)
+    if layers and ("A" in picture.getbands() or "transparency" in picture.info):
+        layered = picture.convert("RGBA")
+        picture = Image.new("RGBA", layered.size, (0, 0, 0, 255))
+        picture.alpha_composite(layered)
+    levels = np.asarray(picture.convert("RGB"), dtype=np.float32)
     return np.ascontiguousarray(levels / np.float32(255.0))
 
 
@@ -79,13 +108,25 @@ def check_picture(picture: Image.Image, file: str) -> None:
     if picture.width * picture.height > MAX_PICTURE_PIXELS:
         raise FormatError(f"{picture.width}x{picture.height} pixels, which is too large", file=file)
     frames = getattr(picture, "n_frames", 1)
-    if _DNG_VERSION in getattr(picture, "tag_v2", ()):
-        raise FormatError("is a camera's raw file (DNG): save the developed picture as PNG or JPEG", file=file)
+    tags = getattr(picture, "tag_v2", {})
+    if _DNG_VERSION in tags:
+        raise FormatError(RAW_PHOTO, file=file)
+    if tags.get(_PLANES) == _SEPARATE and max(tags.get(_BITS, (8,))) > 8:  # Pillow takes one plane for the whole
+        raise FormatError("holds its channels of 16 bits one after another: save it as PNG", file=file)
     if frames > 1 and picture.format != "MPO":  # a phone's JPEG, with its depth or brightness as a second picture
         message = f"holds {frames} pictures (an animation, or pages): save those that show something, each as a PNG"
         raise FormatError(message, file=file)
     if picture.mode == "F" or (picture.mode == "I" and picture.format == "TIFF"):
         raise FormatError("holds numbers of 32 bits, of no agreed range: save it as PNG, as it is displayed", file=file)
+
+
+def nearest_pixels(pixels: Float32, at: npt.NDArray[np.floating]) -> Float64:
+    """(N, 3) values of the pixels nearest to texture coordinates (N, 2), from 0 to 1 to the right and down; the picture
+    (H, W, 3) repeats beyond its borders."""
+    height, width = pixels.shape[:2]
+    sound = np.where(np.isfinite(at), at, 0.0).astype(np.float64) % 1.0
+    column, row = (np.minimum((sound[:, i] * n).astype(np.int64), n - 1) for i, n in ((0, width), (1, height)))
+    return np.asarray(pixels[row, column], dtype=np.float64)
 
 
 def _in_srgb(picture: Image.Image) -> Image.Image:

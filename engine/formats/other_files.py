@@ -1,17 +1,24 @@
 """Files that are mistaken for a Gaussian model: what they are, and what to give or export instead."""
 
+import codecs
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["advice_for", "changed_as_text"]
+__all__ = ["RAW_ENDINGS", "RAW_PHOTO", "ZIP_WITHOUT_SCENE", "advice_for", "changed_as_text"]
+
+RAW_PHOTO = "is a camera's raw file: save the developed picture as PNG or JPEG"
+RAW_ENDINGS = (".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw", ".dng")
+
+ZIP_WITHOUT_SCENE = "is a zip archive without meta.json, no SOG scene: unpack it, and give one model of those in it"
 
 _HEAD, _TAIL = 4096, 1 << 16
 _FEW_ENDS = 32
 _HEIC, _AVI, _MATROSKA = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1"), b"AVI ", b"\x1aE\xdf\xa3"
-_PICTURES = (b"\0\0\0\x0cjP  ", b"\0\0\0\x0cJXL ")
+_PICTURES = (b"\0\0\0\x0cjP  ", b"\0\0\0\x0cJXL ", b"II+\0", b"MM\0+", b"\xabKTX 20\xbb", b"#?RGBE")
 _MESH_TEXT = re.compile(rb"(?:\A|\n)(?:mtllib \S|usemtl \S|v +[-+.\d])|<COLLADA")
-_NO_TEXT = re.compile(rb"[^\t\n\r -~]")
+_NO_TEXT = re.compile(r"[^\t\n\r -~\xa0-\U0010ffff]")
+_BLANKS = b"\xef\xbb\xbf \t\r\n"
 _CONVERTED = "splat-transform converts it (npx @playcanvas/splat-transform FILE model.ply)"
 _NO_MODEL = "no Gaussian model: give the splat that was made from the same photos, as .ply, .sog or .spz"
 
@@ -38,7 +45,7 @@ def _zip_with(*names: bytes) -> Callable[[bytes], bool]:
 
 def _json_with(*members: bytes) -> Callable[[bytes], bool]:
     """Whether this is the text of a JSON object or list with one of these members."""
-    return lambda data: data[:_HEAD].lstrip()[:1] in (b"{", b"[") and any(b'"%s"' % m in data for m in members)
+    return lambda data: data[:_HEAD].lstrip(_BLANKS)[:1] in (b"{", b"[") and any(b'"%s"' % m in data for m in members)
 
 
 _KINDS = (
@@ -111,12 +118,14 @@ _KINDS = (
     ),
     _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
     _Other(
-        "is a picture of a kind that is not read (JPEG 2000, JPEG XL, JPEG XR, PSD, SVG, EXR, HDR, TGA and the like):"
+        "is a picture of a kind that is not read (JPEG 2000, JPEG XL, JPEG XR, PSD, SVG, EXR, HDR, TGA, KTX and the"
+        " like):"
         " save it as PNG or JPEG, as it is displayed",
         (*_PICTURES, b"\xff\x4f\xff\x51", b"\xff\x0a", b"8BPS", b"<svg", b"v/1\1", b"#?RADIANCE", b"II\xbc\1", b"DDS "),
         lambda data: re.match(rb"P[1-7]\s+[\d#]|qoif", data) is not None,
         (".jp2", ".jxl", ".jxr", ".psd", ".svg", ".exr", ".hdr", ".tga", ".ico"),
     ),
+    _Other(RAW_PHOTO, (b"FUJIFILMCCD-RAW",), _boxed(b"crx "), RAW_ENDINGS),
     _Other(
         "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
         (_MATROSKA,),
@@ -125,12 +134,9 @@ _KINDS = (
     _Other("is a PDF: save the picture in it as PNG or JPEG", (b"%PDF",)),
     _Other(
         "is a web page: give the model that it loads, or a screenshot of what it shows",
-        holds=lambda data: data[:1024].lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith((b"<!doctype html", b"<html")),
+        holds=lambda data: data[:1024].lstrip(_BLANKS).lower().startswith((b"<!doctype html", b"<html")),
     ),
-    _Other(
-        "is a zip archive without meta.json, no SOG scene: unpack it, and give one model of those in it",
-        holds=lambda data: data.startswith(b"PK"),
-    ),
+    _Other(ZIP_WITHOUT_SCENE, holds=lambda data: data.startswith(b"PK")),
     _Other(
         "is a packed archive: unpack it, and give one model of those in it",
         (b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"),
@@ -154,9 +160,20 @@ def advice_for(data: bytes, file: str) -> str | None:
         lambda other: bool(other.endings) and file.lower().endswith(other.endings),
     )
     known = next((other.text for fits in signs for other in _KINDS if fits(other)), None)
-    if known is None and not _NO_TEXT.search(data[:_HEAD]):
-        return f"is text, no model: give the file of the model itself; this one begins with {data[:60].decode()!r}"
+    text = _text_of(data[:_HEAD])
+    if known is None and text:
+        return f"is text, no model: give the file of the model itself; this one begins with {text[:60]!a}"
     return known
+
+
+def _text_of(head: bytes) -> str:
+    """The first bytes as text of any language, which may end within a character; empty where they are none."""
+    wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = codecs.getincrementaldecoder("utf-16" if wide else "utf-8-sig")().decode(head)
+    except UnicodeDecodeError:
+        return ""
+    return "" if _NO_TEXT.search(text) else text
 
 
 def changed_as_text(data: bytes) -> str | None:

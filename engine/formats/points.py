@@ -1,8 +1,7 @@
 """Colored points as Gaussians of one size: what is left of a model that was exported as a point cloud, or as a mesh
 with colors at its corners."""
 
-import io
-from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
@@ -20,18 +19,18 @@ _OPACITY_LOGIT = 2.2
 
 _SAMPLE, _NEIGHBOR = 4096, 4
 
-_OBJ_LINE = 1024
-"""Bytes that are looked at of a corner's line."""
 
-
-def read_points(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]] | None:
+def read_points(
+    data: bytes, *, file: str, folder: Path | None = None
+) -> tuple[GaussianModel, tuple[Repair, ...]] | None:
     """Points of a PLY, or corners of an OBJ or a glTF, with a place and a color each; None where it has none of them,
-    or is none of these.
+    or is none of these. The `folder` is where an OBJ's textures are.
 
     Every one becomes a ball of half the median distance to its fourth neighbor. Such a model is a suspect only: to mark
     or convert it would be to make up what it lacks.
     """
-    found = _of_ply(data, file) if data.startswith((b"ply\n", b"ply\r")) else _of_gltf(data, file) or _of_obj(data)
+    is_ply = data.startswith((b"ply\n", b"ply\r"))
+    found = _of_ply(data, file) if is_ply else _of_mesh(data, folder, file)
     if found is None:
         return None
     means, dc = found
@@ -67,23 +66,11 @@ def _of_ply(data: bytes, file: str) -> tuple[Float32, Float32] | None:
     return means, dc_of_colors(rgb, records.dtype[colors[0]])
 
 
-def _of_gltf(data: bytes, file: str) -> tuple[Float32, Float32] | None:
-    """The same of a glTF. Its axes stay: a suspect is registered however it stands."""
+def _of_mesh(data: bytes, folder: Path | None, file: str) -> tuple[Float32, Float32] | None:
+    """The same of a glTF or an OBJ. Their axes stay: a suspect is registered however it stands."""
     from engine.formats.gltf.corners import read_corners  # loads what decodes textures
     from engine.formats.gltf.scene import looks_like_gltf
+    from engine.formats.obj import read_obj
 
-    found = read_corners(data, file=file) if looks_like_gltf(data) else None
+    found = read_corners(data, file=file) if looks_like_gltf(data) else read_obj(data, folder, file=file)
     return None if found is None else (found[0], dc_of_colors(found[1], found[1].dtype))
-
-
-def _of_obj(data: bytes) -> tuple[Float32, Float32] | None:
-    """The same of lines `v x y z red green blue`, as MeshLab and CloudCompare write them."""
-    corners = (line[:_OBJ_LINE] for line in io.BytesIO(data) if line.startswith((b"v ", b"v\t")))
-    first = next(corners, None)
-    if first is None:
-        return None
-    try:  # line after line: the words of a whole file take ten times its bytes
-        rows = np.loadtxt(chain([first], corners), np.float32, usecols=range(1, 7), ndmin=2, comments=None)
-    except ValueError:
-        return None
-    return rows[:, :3].copy(), dc_of_colors(rows[:, 3:], rows.dtype)

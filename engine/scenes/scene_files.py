@@ -124,7 +124,8 @@ def read_suspect(path: str | os.PathLike[str], *, name: str | None = None, spz_f
         file = name or str(path)
         with opening(Path(path), file):
             data = b"" if Path(path).is_dir() else read_regular(Path(path), file)
-        if (found := read_points(data, file=file)) is None:
+        folder = Path(path).parent if name is None else None  # another's file may not name those beside it
+        if (found := read_points(data, file=file, folder=folder)) is None:
             raise
         return Loaded(found[0], POINTS, found[1], len(data), hashlib.sha256(data).hexdigest())
 

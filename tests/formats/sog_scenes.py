@@ -89,6 +89,7 @@ def version_1(n: int, degree: int, seed: int = 0) -> tuple[bytes, dict[str, np.n
         return rng.integers(0, 256, (height, width, channels), dtype=np.uint8)
 
     low, high, scales, quats, sh0 = image(3), image(3), image(3), image(4), image(4)
+    quats[..., :3] = 64 + quats[..., :3] // 2  # no component larger than the one left out
     quats[..., 3] = rng.integers(252, 256, (height, width))
     low_high = {"mins": [-1.5, -0.5, -2.0], "maxs": [1.0, 2.5, 0.5]}
     scale_range = {"mins": [-8.0, -7.0, -9.0], "maxs": [-1.0, -2.0, -3.0]}

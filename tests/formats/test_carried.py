@@ -44,6 +44,20 @@ def with_extras(model: GaussianModel) -> GaussianModel:
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "drawn"),
+    [
+        *[(name, True) for name in ("sg_directions_0", "f_asg_12", "sb_params_3", "sv_colors_1", "roughness", "shape")],
+        *[(name, False) for name in ("label", "sgd", "obj_dc_0", "shape_id", "confidence")],
+    ],
+)
+def test_colors_that_only_their_trainer_draws_are_told(plant: GaussianModel, name: str, drawn: bool) -> None:
+    model = plant.take(np.arange(50))
+    loaded = read_model(encode_model(carrying(model, **{name: np.ones(50, "<f4")}), "ply"))
+    told = [each.text for each in loaded.repairs if each.code == "drawn_elsewhere"]
+    assert [f"'{name}'" in text and "no mark" in text for text in told] == [True] * drawn
+
+
 @pytest.mark.parametrize("order", ["<", ">", "="])
 def test_every_type_comes_back_bit_for_bit(plant: GaussianModel, order: str) -> None:
     model = with_extras(plant.take(np.arange(500)))

@@ -5,16 +5,18 @@ from __future__ import annotations
 import io
 import tracemalloc
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from engine.errors import FormatError
+from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.points import read_points
 from engine.model import SH_C0
 from engine.numerics.srgb import from_linear, to_linear
+from engine.scenes.scene_files import read_suspect
 from tests.formats.gltf_files import glb_of
 
 PLACES = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [1, 2, 3], [4, 5, 6]], np.float32)
@@ -190,3 +192,65 @@ def test_an_obj_takes_hardly_more_memory_than_its_bytes() -> None:
     assert found is not None
     np.testing.assert_allclose(found[0].means, rows[:, :3], atol=1e-6)
     assert peak < 6 * len(data)  # of which the model itself takes four; ten and more where every word is an object
+
+
+OBJ = b"mtllib two words.mtl\n" + b"".join(b"v %g %g %g\n" % tuple(p) for p in PLACES.tolist())
+COORDINATES = b"".join(b"vt %g 0.3\n" % ((i + 0.5) / 6) for i in range(6))
+FACES = b"usemtl skin\r\nf 1/1/1 2/2/1 3/3/1\nf -3/-3 -2/-2 -1/-1\nf 1/6 2/6 3/6\n"
+
+
+def obj_with(folder: Path, material: str, obj: bytes = OBJ + COORDINATES + FACES, picture: str = "skin.png") -> Path:
+    """An OBJ, its materials, and a texture of six pixels in a row, one for each corner, over a row of white."""
+    white = np.full((1, 6, 3), 255, np.uint8)
+    rows = np.concatenate([white, np.rint(COLORS * 255).astype(np.uint8)[None]])
+    (folder / picture).parent.mkdir(exist_ok=True)
+    Image.fromarray(rows).save(folder / picture)
+    (folder / "two words.mtl").write_text(material)
+    (folder / "mesh.obj").write_bytes(obj)
+    return folder / "mesh.obj"
+
+
+@pytest.mark.parametrize(
+    ("said", "picture"),
+    [
+        ("map_Kd skin.png", "skin.png"),
+        ("map_Kd -s 1 1 1 skin.png", "skin.png"),
+        ("map_Kd the skin.png", "the skin.png"),
+        ("map_Kd C:\\work\\mesh\\skin.png", "skin.png"),
+        ("map_Kd maps\\skin.png", "maps/skin.png"),
+    ],
+)
+def test_the_texture_of_an_obj_gives_its_corners_colors(said: str, picture: str, tmp_path: Path) -> None:
+    path = obj_with(tmp_path, f"newmtl skin\n\t{said}\n", picture=picture)
+    loaded = read_suspect(path)
+    assert loaded.format == "points"
+    np.testing.assert_allclose(loaded.model.means, PLACES, atol=1e-6)
+    np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
+
+
+def test_corners_without_a_texture_are_left_out(tmp_path: Path) -> None:
+    obj = OBJ + COORDINATES + b"usemtl skin\nf 1/1 2/2 3/3\nusemtl plain\nf 4/4 5/5 6/6\n"
+    loaded = read_suspect(obj_with(tmp_path, "newmtl skin\nmap_Kd skin.png\nnewmtl plain\nKd 1 0 0\n", obj))
+    np.testing.assert_allclose(loaded.model.means, PLACES[:3], atol=1e-6)
+
+
+def test_a_texture_that_is_missing_is_named_and_none_is_read_from_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    Image.new("RGB", (6, 1)).save(tmp_path / "outside.png")
+    for name in ("skin.jpg", "../outside.png", "/etc/hostname"):
+        path = obj_with(tmp_path / "below", f"newmtl skin\nmap_Kd {name}\n")
+        with pytest.raises(FormatError, match="not beside it"):
+            read_suspect(path)
+    with pytest.raises(FormatError, match="not there"):
+        read_suspect(
+            obj_with(tmp_path, "newmtl skin\nmap_Kd skin.png\n", OBJ + COORDINATES + FACES + b"f 1/7 2/2 3/3\n")
+        )
+    with pytest.raises(UnsupportedFormatError, match="is a mesh"):  # what came over the network names no files here
+        read_suspect(obj_with(tmp_path, "newmtl skin\nmap_Kd skin.png\n"), name="upload.obj")
+
+
+@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])
+def test_packed_meshes_are_refused_with_the_command_that_unpacks_them(name: str, tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(textured(np.zeros((6, 2)), extensionsRequired=[name]))
+    with pytest.raises(UnsupportedFormatError, match=rf"packed \({name}\).*gltf-transform/cli copy"):
+        read_suspect(tmp_path / "a.glb")

@@ -270,3 +270,29 @@ def test_it_is_told_by_its_first_bytes() -> None:
     for seed in range(300):
         noise = np.random.default_rng(seed).bytes(2000)
         assert not looks_like_gltf(b"{" + noise)
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({}, []),
+        ({"animations": [{}]}, ["animations"]),
+        ({"cameras": [{}], "skins": [{}]}, ["cameras", "skins"]),
+        ({"asset": {"version": "2.0", "generator": "x", "copyright": "(c) A"}}, ["copyright"]),
+        ({"extensionsUsed": [EXTENSION, "EXT_mesh_gpu_instancing"]}, ["EXT_mesh_gpu_instancing"]),
+    ],
+)
+def test_what_is_no_gaussian_of_a_scene_is_named(change: dict[str, Any], names: list[str]) -> None:
+    parsed, binary = asset_of(splats(9, 0))
+    told = [each.text for each in read_model(glb_of(parsed | change, binary)).repairs if each.code == "extra_gltf"]
+    assert [all(repr(name) in text for name in names) for text in told] == [True] * bool(names)
+
+
+def test_meshes_attributes_and_targets_beside_gaussians_are_named() -> None:
+    parsed, binary = asset_of(splats(9, 0))
+    gaussians = parsed["meshes"][0]["primitives"][0]
+    gaussians["targets"] = [{"POSITION": 0}]
+    gaussians["attributes"]["_LABEL"] = 0
+    parsed["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}})
+    (told,) = (each.text for each in read_model(glb_of(parsed, binary)).repairs)
+    assert all(name in told for name in ("'1 meshes or points without Gaussians'", "'_LABEL'", "'targets'"))

@@ -1,7 +1,9 @@
 """Pictures as found in the wild."""
 
+import io
 import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +90,69 @@ def test_a_profile_leaves_transparency_and_sixteen_bits(tmp_path: Path) -> None:
     assert np.allclose(read_picture(tmp_path / "deep.png"), 0.5, atol=1e-4)
 
 
+def png_with(values: np.ndarray, *chunks: tuple[bytes, bytes]) -> bytes:
+    """A PNG of 16 bits a channel of values (H, W, 3) from 0 to 1, with chunks before its pixels."""
+    levels = np.rint(np.asarray(values) * 65535).astype(">u2")
+    head = struct.pack(">IIBBBBB", levels.shape[1], levels.shape[0], 16, 2, 0, 0, 0)
+    body = zlib.compress(b"".join(b"\0" + row.tobytes() for row in levels))
+    parts = [(b"IHDR", head), *chunks, (b"IDAT", body), (b"IEND", b"")]
+    packed = (struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in parts)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+# Gray of 203 (white by BT.2408), 50 and 2 cd/m2 by the tables of BT.2100, and as sRGB shows it.
+PQ, HLG, SHOWN = [0.5807, 0.4403, 0.1882], [0.75, 0.4971, 0.13], [1.0, 0.5334, 0.0989]
+
+
+@pytest.mark.parametrize(("transfer", "signal"), [(16, PQ), (18, HLG)])
+def test_hdr_screenshots_are_read_as_srgb(transfer: int, signal: list[float], tmp_path: Path) -> None:
+    gray = np.repeat(np.array(signal)[None, :, None], 3, axis=2)
+    data = png_with(gray, (b"cICP", bytes([9, transfer, 0, 1])))
+    np.testing.assert_allclose(read_picture(data)[0, :, 1], SHOWN, atol=0.03)
+    np.testing.assert_allclose(read_picture(data, managed=False)[0, :, 1], signal, atol=0.01)
+    # BT.709's red in the primaries of BT.2020, at white's luminance (BT.2087)
+    red = np.array([0.6274, 0.0691, 0.0164])
+    pq = ((0.8359375 + 18.8515625 * (y := (red * 0.0203) ** 0.15930176)) / (1 + 18.6875 * y)) ** 78.84375
+    data = png_with(
+        np.broadcast_to(pq, (2, 2, 3)), (b"cICP", bytes([9, 16, 0, 1])), (b"iCCP", b"x\0\0" + zlib.compress(P3))
+    )
+    np.testing.assert_allclose(read_picture(data)[0, 0], [1, 0, 0], atol=0.05)
+
+
+def test_a_page_that_an_hdr_desktop_shows_brighter_is_scaled_to_white() -> None:
+    signal = np.full((40, 40, 3), 0.6722)  # 480 cd/m2
+    signal[:20] = 0.5400  # 137 cd/m2: 0.285 of it
+    signal[39, 39] = 0.9  # one glint
+    read = read_picture(png_with(signal, (b"cICP", bytes([9, 16, 0, 1]))))
+    np.testing.assert_allclose([read[0, 0, 0], read[30, 0, 0]], [0.571, 1.0], atol=0.02)
+
+
+def test_other_codings_of_png_and_avif(tmp_path: Path) -> None:
+    half = np.full((4, 4, 3), 0.5)
+    for chunks, expected in (
+        ([(b"gAMA", struct.pack(">I", 100_000))], 0.735),  # linear light
+        ([(b"cICP", bytes([1, 8, 0, 1]))], 0.735),
+        ([(b"gAMA", struct.pack(">I", 45_455))], 0.5),
+        ([(b"gAMA", struct.pack(">I", 100_000)), (b"sRGB", b"\0")], 0.5),
+        ([(b"cICP", bytes([1, 13, 0, 1]))], 0.5),
+        ([(b"cICP", bytes([12, 13, 0, 1]))], 0.5),
+        ([(b"cICP", bytes([77, 99, 0, 1]))], 0.5),
+        ([(b"cICP", bytes([2, 4, 0, 1]))], 0.5 ** (2.2 / 2.4) * 1.055 - 0.055),
+        ([(b"gAMA", struct.pack(">I", 0))], 0.5),
+    ):
+        np.testing.assert_allclose(read_picture(png_with(half, *chunks)), expected, atol=0.01, err_msg=str(chunks))
+    if features.check("avif"):
+        buffer = io.BytesIO()
+        Image.new("RGB", (16, 16), (112, 112, 112)).save(buffer, "AVIF", quality=100)
+        plain = buffer.getvalue()
+        at = plain.index(b"colrnclx") + 8
+        unspecified = plain[:at] + struct.pack(">HH", 2, 2) + plain[at + 4 :]
+        np.testing.assert_array_equal(read_picture(unspecified), read_picture(plain))
+        np.testing.assert_allclose(read_picture(plain), 0.44, atol=0.02)
+        hdr = plain[:at] + struct.pack(">HH", 9, 16) + plain[at + 4 :]
+        np.testing.assert_allclose(read_picture(hdr), SHOWN[1], atol=0.03)
+
+
 @pytest.mark.parametrize("kind", ["srgb", "damaged", "gray"])
 def test_a_profile_that_changes_nothing_leaves_the_values(kind: str, tmp_path: Path) -> None:
     picture = Image.effect_noise((32, 32), 80).convert("L" if kind == "gray" else "RGB")
@@ -117,6 +182,31 @@ def test_files_that_are_more_than_one_picture_are_refused(tmp_path: Path) -> Non
     one.save(tmp_path / "a.dng", "TIFF", tiffinfo={50706: b"\1\4\0\0"})
     with pytest.raises(FormatError, match=r"raw file.*as PNG"):
         read_picture(tmp_path / "a.dng")
+
+
+def test_kinds_that_are_not_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "photo.CR2").write_bytes(b"II*\0\x10\0\0\0CR\2\0" + bytes(200))
+    with pytest.raises(FormatError, match=r"raw file.*as PNG"):
+        read_picture(tmp_path / "photo.CR2")
+    (tmp_path / "half.tif").write_bytes(b"II*\0\x10\0\0\0" + bytes(200))
+    with pytest.raises(FormatError, match=r"of a kind that is not read.*as PNG"):
+        read_picture(tmp_path / "half.tif")
+    # 16 bits a channel, red after green after blue: of width and height 1, uncompressed
+    tags = [(256, 3, 1, 1), (257, 3, 1, 1), (258, 3, 3, 134), (259, 3, 1, 1), (262, 3, 1, 2), (273, 3, 3, 140)]
+    tags += [(277, 3, 1, 3), (279, 3, 3, 146), (284, 3, 1, 2), (278, 3, 1, 1)]
+    rows = b"".join(struct.pack("<HHII", *tag) for tag in sorted(tags))
+    body = struct.pack("<9H", 16, 16, 16, 152, 154, 156, 2, 2, 2) + bytes(6)
+    with pytest.raises(FormatError, match="one after another"):
+        read_picture(b"II*\0\10\0\0\0" + struct.pack("<H", len(tags)) + rows + bytes(4) + body)
+
+
+@pytest.mark.skipif(not features.check("avif"), reason="this Pillow was built without AVIF")
+def test_an_avif_may_name_its_kind_second(tmp_path: Path) -> None:
+    Image.new("RGB", (32, 24), (255, 128, 0)).save(tmp_path / "a.avif")
+    data = (tmp_path / "a.avif").read_bytes()
+    (tmp_path / "b.avif").write_bytes(data[:8] + b"mif1" + data[12:])
+    assert is_picture(tmp_path / "b.avif")
+    assert read_picture(tmp_path / "b.avif").shape == (24, 32, 3)
 
 
 def test_damaged_and_huge_pictures_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,6 +194,56 @@ def test_activated_values_are_hinted_at_and_kept() -> None:
     assert codes(read_model(encode_model(model, "ply"))) == set()
 
 
+@pytest.mark.parametrize("most", [1, 255])
+def test_colors_and_opacities_in_the_range_of_a_screen_are_hinted_at(most: int) -> None:
+    model = random_model(0, 300)
+    columns = floats()
+    shown = {f"f_dc_{c}": ("float", most * (0.1 + 0.8 * model.opacities)) for c in range(3)}
+    assert codes(read_model(file_of({**columns, **shown}))) == {"colors_activated"}
+    loaded = read_model(file_of({**columns, "opacity": ("float", most * model.opacities)}))
+    assert "opacities_activated" in codes(loaded)
+    assert f"0 to {most}" in next(each.text for each in loaded.repairs if each.code == "opacities_activated")
+
+
+def test_names_in_another_case_are_read() -> None:
+    columns = floats()
+    loaded = read_model(file_of({name.upper(): column for name, column in columns.items()}))
+    assert codes(loaded) == {"names_lowered"}
+    np.testing.assert_array_equal(loaded.model.means, read_model(file_of(columns)).model.means)
+    twice = {"X": ("float", columns["x"][1])}  # both cases: it is a property of its own
+    assert codes(read_model(file_of({**columns, **twice}))) == {"extra_properties"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("scale_0", "scale_x"), ("rot_0", "qw"), ("opacity", "alpha"), ("x", "position_x")]
+)
+def test_what_is_missing_is_said_with_what_is_there(old: str, new: str) -> None:
+    renamed = {new if name == old else name: column for name, column in floats().items()}
+    with pytest.raises(FormatError, match=rf"'{old}': is missing; not known here: '{new}'"):
+        read_model(file_of(renamed))
+
+
+def test_coordinates_of_a_texture_are_no_motion() -> None:
+    places = {name: ("float", np.arange(9.0)) for name in ("x", "y", "z", "s", "t")}
+    with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):
+        read_model(file_of(places))
+    with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):  # of a laser scanner
+        read_model(file_of({**places, "time": places["t"]}))
+    values = floats()
+    extra = dict.fromkeys(("s", "t"), values["x"])
+    assert codes(read_model(file_of({**values, **extra}))) == {"extra_properties"}
+
+
+@pytest.mark.parametrize(("tail", "is_read"), [(b"\n", True), (b"\r\n", True), (b"\n\n", False), (b"\0", False)])
+def test_one_line_end_may_follow_the_rows(tail: bytes, is_read: bool) -> None:
+    data = file_of(floats())
+    if is_read:
+        np.testing.assert_array_equal(read_model(data + tail).model.means, read_model(data).model.means)
+    else:
+        with pytest.raises(FormatError, match="bytes follow"):
+            read_model(data + tail)
+
+
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_any_types_and_bits_give_a_sound_model_or_a_named_fault(data: st.DataObject) -> None:

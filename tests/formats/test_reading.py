@@ -114,12 +114,36 @@ def test_chains_of_formats_stay_the_same_scene() -> None:
         (b"\x1aE\xdf\xa3\x9fB\x86", "video"),
         (b"RIFF\0\0\0\0AVI LIST", "video"),
         (b"%PDF-1.7\n", "PDF: save the picture"),
+        (b"\0\0\0\x18ftypcrx ", "camera's raw file"),
+        (b"FUJIFILMCCD-RAW 0201", "camera's raw file"),
+        (b"\xabKTX 20\xbb\r\n\x1a\n", "save it as PNG"),
+        (b"II+\0\10\0\0\0", "save it as PNG"),
         (b"\n<!DOCTYPE html>\n<html>", "web page: give the model that it loads"),
     ],
 )
 def test_what_people_hold_for_a_suspect_is_named(head: bytes, advice: str) -> None:
     with pytest.raises(UnsupportedFormatError, match=advice):
         read_model(head + bytes(100))
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding", "advice"),
+    [
+        ('{"frames": []}', "utf-8-sig", "holds cameras"),
+        ("Zugriff verweigert für diese Seite, 東京", "utf-8", "is text, no model"),
+        ("<Error><Code>AccessDenied</Code></Error>", "utf-16", "is text, no model.*AccessDenied"),
+    ],
+)
+def test_text_of_any_language_is_named(text: str, encoding: str, advice: str) -> None:
+    with pytest.raises(UnsupportedFormatError, match=advice):
+        read_model(text.encode(encoding))
+
+
+def test_a_zip_with_a_scene_in_it_is_no_scene(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("web/scene.sog", encode_model(random_model(0, 50), "sog"))
+    with pytest.raises(UnsupportedFormatError, match="unpack it, and give one model"):
+        read_model(tmp_path / "a.zip")
 
 
 def zip_of(*names: str) -> bytes:

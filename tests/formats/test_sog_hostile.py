@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.sog.bundle import read_sog, write_sog
@@ -33,6 +35,7 @@ LIES = {
     "means.files": [None, ["means_l.webp"], ["../means_l.webp", "means_u.webp"], ["means_l.webp", 5]],
     "quats.files": [["/etc/passwd"], ["a/b.webp"], [".."], [""], ["missing.webp"], ["meta.json"], ["q\\q.webp"]],
     "means.mins": [[0, 0], [0, 0, "0"], [0, 0, float("nan")], [0, 0, 1e40], 0, [0, 0, True]],
+    "means.maxs": [[0, 0, -1e3]],
     "scales.codebook": [None, [], [0.0] * 257, ["a"] * 256, [None] * 256, [float("inf")] * 256],
     "shN": [7, {}],
     "shN.bands": [None, 0, 2, 4, 1.0],
@@ -189,3 +192,60 @@ def test_any_member_of_meta_may_be_anything(member, value):
     except FormatError:
         return
     assert_valid(model)
+
+
+def _reencoded(scene: bytes, change: Callable[[Image.Image], bytes]) -> bytes:
+    parts = unbundle(scene)
+    images = {name: Image.open(io.BytesIO(part)).convert("RGBA") for name, part in parts.items() if name != "meta.json"}
+    return bundle(parts | {name: change(image) for name, image in images.items()})
+
+
+def _saved(image: Image.Image, kind: str = "PNG", **options: object) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5, 2, 3])
+@pytest.mark.parametrize("method", [Image.Resampling.NEAREST, Image.Resampling.BILINEAR])
+def test_images_that_were_resized_are_refused_with_the_cause(factor: float, method: Image.Resampling) -> None:
+    for n in (300, 3000):
+        resized = _reencoded(
+            write_sog(random_model(0, n)),
+            lambda image: _saved(image.resize((int(image.width * factor), int(image.height * factor)), method)),
+        )
+        with pytest.raises(FormatError, match=r"resizing.*destroys.*export the scene again"):
+            read_sog(resized, file="x")
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "WEBP", "lossy, then PNG", "palette"])
+def test_images_that_were_packed_with_loss_are_refused_with_the_cause(kind: str) -> None:
+    def pack(image: Image.Image) -> bytes:
+        if kind == "palette":
+            return _saved(image.quantize(256))
+        if kind == "lossy, then PNG":
+            return _saved(Image.open(io.BytesIO(_saved(image, "WEBP", quality=95))))
+        return _saved(image.convert("RGB"), kind)
+
+    with pytest.raises(FormatError, match=r"with loss.*destroys.*export the scene again"):
+        read_sog(_reencoded(write_sog(random_model(1, 3000)), pack), file="x")
+
+
+def test_images_that_lost_their_transparency_are_refused() -> None:
+    opaque = _reencoded(write_sog(random_model(1, 300)), lambda image: _saved(image.convert("RGB")))
+    with pytest.raises(FormatError, match=r"transparency.*is gone"):
+        read_sog(opaque, file="x")
+
+
+def test_a_count_beyond_the_rotations_is_refused() -> None:
+    scene = write_sog(random_model(0, 3000))
+    with pytest.raises(FormatError, match=r"meta\.json counts too many"):
+        read_sog(with_meta(scene, count=3100), file="x")
+    with pytest.raises(FormatError, match=r"beyond the 500 Gaussians of meta\.json"):
+        read_sog(with_meta(scene, count=500), file="x")
+
+
+def test_images_packed_without_loss_are_read() -> None:
+    scene = write_sog(random_model(1, 3000))
+    again, _ = read_sog(_reencoded(scene, lambda image: _saved(image, optimize=True)), file="x")
+    np.testing.assert_array_equal(again.means, read_sog(scene, file="x")[0].means)

@@ -228,3 +228,10 @@ def test_gzip_in_several_members_is_one_file():
     for damaged in (parts[:-20], parts + parts, parts + b"\x1f\x8bjunk"):
         with pytest.raises(FormatError):
             read_spz(damaged, file="x")
+
+
+def test_extension_records_that_are_not_read_are_named() -> None:
+    records = frame_record(4) + record(0xADBE0002, b"12345678")
+    data = gzipped(3, 20, 0, random_sections(3, 0, 20, 0), records, flags=2)
+    told = {each.code: each.text for each in read_spz(data, file="x")[1]}
+    assert "0xadbe0002" in told["extra_extensions"]

@@ -162,3 +162,20 @@ def test_without_the_extra_it_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path
         write_model(model, tmp_path / "scene.usdz")
     with pytest.raises(UnsupportedFormatError, match=r"OpenUSD.*mark3dgs\[usd\]"):
         read_model(scene())
+
+
+@needs_usd
+def test_what_is_no_gaussian_of_a_scene_is_named() -> None:
+    assert read_model(scene()).repairs == ()
+    other = 'def Mesh "Floor" {}\n    def Camera "Eye" {}'
+    (told,) = read_model(scene(above=other, body="float[] primvars:label = [1, 2]")).repairs
+    assert told.code == "extra_usd"
+    assert all(name in told.text for name in ("'/World/Floor'", "'/World/Eye'", "'primvars:label'"))
+
+
+@needs_usd
+def test_gaussians_that_a_transform_moves_are_refused() -> None:
+    moved = """double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 9: (5, 0, 0) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]"""
+    with pytest.raises(UnsupportedFormatError, match="moves with time"):
+        read_model(scene(above=moved))

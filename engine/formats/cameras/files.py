@@ -18,6 +18,10 @@ MAX_CAMERA_BYTES = 1 << 28
 SUBFOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 """Where a COLMAP model usually lies within what the user calls its folder."""
 
+_READ = (
+    "read are cameras.json (INRIA), transforms.json (NeRF, nerfstudio) and models of COLMAP; leave --cameras out, and"
+    " cameras of pictures are found"
+)
 _JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
 
 
@@ -105,7 +109,7 @@ def _read_json(path: Path) -> list[Camera]:
         return read_nerf(content, str(path), path.parent, moved if isinstance(moved, dict) else None)
     if isinstance(content, dict) and {"transform", "scale"} <= content.keys():
         raise CameraError(f"{path}: holds no cameras: put it next to the transforms.json of the scene, and give that")
-    raise CameraError(f"{path}: is neither a list of cameras (INRIA) nor holds a list 'frames' (NeRF)")
+    raise CameraError(f"{path}: is neither a list of cameras (INRIA) nor holds a list 'frames' (NeRF); {_READ}")
 
 
 def json_of(path: Path) -> Any:
@@ -114,7 +118,7 @@ def json_of(path: Path) -> Any:
         return json.loads(read_limited(path))
     except (ValueError, RecursionError) as error:
         where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
-        raise CameraError(f"{path}: is no JSON{where}") from None
+        raise CameraError(f"{path}: is no JSON{where}; {_READ}") from None
 
 
 def read_limited(path: Path) -> bytes:

@@ -17,11 +17,14 @@ import numpy.typing as npt
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.numerics.plain import Json
 
-__all__ = ["MAGIC", "MAX_JSON_BYTES", "Asset", "pack_glb", "unpack"]
+__all__ = ["MAGIC", "MAX_JSON_BYTES", "UNPACK", "Asset", "pack_glb", "unpack"]
 
 MAGIC = b"glTF"
 MAX_JSON_BYTES = 1 << 24
 """A scene of one primitive takes 10 kB; 16 MB is a city of them."""
+
+UNPACK = "unpack it (npx @gltf-transform/cli copy FILE unpacked.glb)"
+"""What to do with meshes that Draco or meshopt packed."""
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
@@ -81,7 +84,7 @@ class Asset:
             raise self.fault(f"is of {kind!r:.20} and {code!r:.20}, expected {wanted} numbers a row", element, prop)
         view = self.row("bufferViews", accessor.get("bufferView"))
         if "extensions" in view:
-            message = f"its buffer view has extensions: {ascii(view['extensions'])[:120]}"
+            message = f"its buffer view has extensions: {ascii(view['extensions'])[:120]}; {UNPACK}"
             raise UnsupportedFormatError(message, file=self.file, element=element)
         count, dtype = _whole(self, accessor, "count", element), np.dtype(_CODES[code])
         buffer = self._buffer(view.get("buffer"))

@@ -14,7 +14,7 @@ from engine.errors import FormatError
 from engine.formats.gltf.container import Asset, unpack
 from engine.formats.gltf.nodes import primitives_of, shown_meshes
 from engine.formats.guards import check_count
-from engine.formats.image_files import MAX_PIXELS_TOGETHER, read_picture
+from engine.formats.image_files import MAX_PIXELS_TOGETHER, nearest_pixels, read_picture
 from engine.model import Float32, Float64
 from engine.numerics.srgb import from_linear, to_linear
 
@@ -126,8 +126,4 @@ class _Textures:
             self._left -= self._decoded[view].size // 3
             if self._left < 0:
                 raise self._asset.fault(f"its textures have more than {MAX_PIXELS_TOGETHER:,} pixels", "images")
-        pixels = self._decoded[view]
-        height, width = pixels.shape[:2]
-        sound = np.where(np.isfinite(at), at, 0.0).astype(np.float64) % 1.0
-        column, row = (np.minimum((sound[:, i] * n).astype(np.int64), n - 1) for i, n in ((0, width), (1, height)))
-        return np.asarray(pixels[row, column], dtype=np.float64)
+        return nearest_pixels(self._decoded[view], at)

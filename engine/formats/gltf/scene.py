@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
+from engine.formats.gltf.container import MAGIC, UNPACK, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, primitives_of, shown_meshes
 from engine.formats.guards import check_count
+from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
 from engine.formats.spz.stream import read_spz
@@ -36,6 +37,17 @@ TO_PLY = FrameChange(np.array([-1.0, -1.0, 1.0]))
 SPZ = EXTENSION + "_compression_spz_2"
 _KNOWN = {EXTENSION, SPZ, "KHR_mesh_quantization", "KHR_materials_unlit"}
 """What a file may require: the second allows integers for positions, the third says how points look elsewhere."""
+_SCENE = {"asset", "extensionsUsed", "extensionsRequired", "scene", "scenes", "nodes", "meshes"}
+_SCENE |= {"buffers", "bufferViews", "accessors"}
+_ABOUT = {"version", "minVersion", "generator", "extensions"}
+"""Members that are read, or say nothing that could be lost; extensions are named by their list."""
+
+_PACKINGS = {
+    "KHR_draco_mesh_compression": UNPACK,
+    "EXT_meshopt_compression": UNPACK,
+    "KHR_meshopt_compression": UNPACK,
+    "KHR_texture_basisu": "export it with PNG or JPEG textures",
+}
 _FLOAT, _POINTS, _ARRAY_BUFFER = 5126, 0, 34962
 _DRAFTS = ("KHR_gaussian_splatting_", "KHR_spz_", "EXT_gaussian_splatting")
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -77,7 +89,7 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
     if plain:
         check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), len(data), file=file)
     parts: list[GaussianModel] = []
-    repairs: list[Repair] = []
+    repairs = _left_out(asset, [primitive for primitive, _ in shown])
     origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
     for primitive, matrix in shown:
         model, mended = (
@@ -99,6 +111,23 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
         repairs.append(Repair("origin_moved", sum(map(len, parts)), text))
         return joined(parts).with_(origin=(x, y, z)), tuple(repairs)
     return joined(parts), tuple(repairs)
+
+
+def _left_out(asset: Asset, shown: list[Mapping[str, Any]]) -> list[Repair]:
+    """A note on all that is no Gaussian of the scene: nothing else is read, or written again."""
+    about = asset.json.get("asset")
+    found = [key for key, value in asset.json.items() if key not in _SCENE and value]
+    found += [key for key in (about if isinstance(about, dict) else ()) if key not in _ABOUT]
+    found += [name for name in map(str, asset.rows("extensionsUsed")) if name not in _KNOWN]
+    meshes = {mesh for mesh, _ in shown_meshes(asset)}
+    others = sum(len(primitives_of(asset, mesh)) for mesh in meshes) - len({id(primitive) for primitive in shown})
+    found += [f"{others} meshes or points without Gaussians"] if others else []
+    attributes = {name: None for primitive in shown for name in primitive.get("attributes", ())}
+    found += [name for name in attributes if not name.startswith((EXTENSION, "POSITION", "COLOR_0"))]
+    found += ["targets"] if any("targets" in primitive for primitive in shown) else []
+    if not found:
+        return []
+    return [Repair("extra_gltf", len(found), f"what is no Gaussian of the scene was ignored: {named(found)}")]
 
 
 def _is_far(shift: Float64, scales: Float32) -> bool:
@@ -158,6 +187,8 @@ def _check_required(asset: Asset) -> None:
 
 
 def _unsupported(asset: Asset, name: str) -> UnsupportedFormatError:
+    if name in _PACKINGS:
+        return UnsupportedFormatError(f"is packed ({name}): {_PACKINGS[name]}", file=asset.file, element="extensions")
     draft = ", a draft that is not settled" if name.startswith(_DRAFTS) else ""
     message = f"needs the extension {ascii(name)[:80]}{draft}; export uncompressed {EXTENSION}, .spz or .ply"
     return UnsupportedFormatError(message, file=asset.file, element="extensions")

@@ -34,7 +34,9 @@ def read_tables(
             break
     if not header.byte_order:
         return _read_ascii(data, header, wanted, file)
-    offsets = _locate(header, len(data), file=file)
+    length = header.size + sum(element.count * element.stride for element in header.elements)
+    ends_as_text = bytes(data[length : length + 3]) in (b"\n", b"\r\n")
+    offsets = _locate(header, length if ends_as_text else len(data), file=file)
     tables = {}
     for element in header.elements:
         if element.name in wanted:

@@ -27,6 +27,9 @@ _SOUND_SHARE = 0.99
 
 _LARGEST_HALF = 65504.0
 
+_LEAST_BYTE = 40.0
+"""No logit or coefficient of a trained scene is larger, where none is negative."""
+
 _FEW = 64  # too few to say from their values what they are
 
 
@@ -39,6 +42,10 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
     names = [p.name for p in vertex.properties]
     prefix = next((name.removesuffix("opacity") for name in names if name.endswith("opacity")), "")
     repairs: list[Repair] = []
+    lower = [name.lower() for name in names]
+    if names != lower and set(lower) >= _GAUSSIAN > set(names) & _GAUSSIAN and len(set(lower)) == len(names):
+        repairs.append(Repair("names_lowered", len(names), "names of properties were read in lower case"))
+        names = lower
     if prefix and "opacity" not in names:
         new = _unprefixed(names, prefix)
         if set(new) >= _GAUSSIAN:
@@ -174,19 +181,34 @@ def _rounded(exact: npt.NDArray[np.float64], allowed: npt.NDArray[np.float64]) -
     return rows, float(error[rows].max(initial=0.0))
 
 
-def activation_hints(log_scales: Float32, logits: Float32) -> list[Repair]:
-    """Hints where values stored as logarithms and logits look like sizes and opacities themselves.
+def activation_hints(log_scales: Float32, logits: Float32, dc: Float32) -> list[Repair]:
+    """Hints where what is stored as logarithms, logits and coefficients looks like sizes, opacities and colors.
 
     Of a trained scene, some sizes lie below one unit (a negative logarithm) and some opacities below 1/2 (a negative
-    logit) and above 0.73; values of which not one does are what the activation yields.
+    logit) and above 0.73, and some colors are darker than gray (a negative coefficient); values of which not one does
+    are what the activation yields.
     """
-    hints: list[Repair] = []
     if len(logits) < _FEW:
-        return hints
+        return []
     what = "no change was made; if it renders as fog, export raw values"
-    opacities = logits.min() >= 0 and logits.max() <= 1 and logits.min() < logits.max()
-    if log_scales.min() > 0 and (opacities or np.median(log_scales) < 1):
-        hints.append(Repair("scales_activated", len(logits), f"scales look activated (already exponentiated): {what}"))
-    if opacities:
-        hints.append(Repair("opacities_activated", len(logits), f"opacities look activated (already 0 to 1): {what}"))
-    return hints
+    opacities, colors = _as_shown(logits), _as_shown(dc)
+    hints = {
+        "scales": "already exponentiated"
+        if log_scales.min() > 0 and (opacities or np.median(log_scales) < 1)
+        else None,
+        "opacities": opacities,
+        "colors": colors,
+    }
+    return [
+        Repair(f"{name}_activated", len(logits), f"{name} look activated ({how}): {what}")
+        for name, how in hints.items()
+        if how
+    ]
+
+
+def _as_shown(values: Float32) -> str | None:
+    """What a screen's range the values fill, if one."""
+    low, high = float(values.min()), float(values.max())
+    if low < 0 or low == high or not high <= 255:
+        return None
+    return "already 0 to 1" if high <= 1 else "already 0 to 255" if high > _LEAST_BYTE else None

@@ -41,6 +41,13 @@ _MOTION = re.compile(
     r"|t|mu_t|time|duration|t_scale|(scale|scaling)_t(_\d+)?|v[xyz]"
 )
 
+_DRAWN = re.compile(
+    r"(f_|features?_)?(asg|sg|sb|sv|latent|appearance|brdf|albedo|base_color|roughness|metallic|refl\w*|specular\w*"
+    r"|diffuse|incidents?|visibility|tex|texture)_|(roughness|metallic|metalness|reflect|specular)\w*$|(beta|shape"
+    r"|nu_degree|nu)$"
+)
+"""Spherical Gaussians, anisotropic ones, betas and Voronoi cells; latent colors; materials; textures; other kernels."""
+
 
 def is_motion(name: str) -> bool:
     """Whether a property says where, how large or how opaque a Gaussian is at some time."""
@@ -49,7 +56,8 @@ def is_motion(name: str) -> bool:
 
 def refuse_motion(vertex: Element, *, file: str) -> None:
     """UnsupportedFormatError naming the properties if these Gaussians move: nothing of it has a place in a model."""
-    moving = [p.name for p in vertex.properties if is_motion(p.name)]
+    textured = {"s", "t"} <= vertex.names  # coordinates of a texture, as Blender writes them
+    moving = [p.name for p in vertex.properties if is_motion(p.name) and not (textured and p.name == "t")]
     if moving:
         lite = ": a Spacetime clip, which embed and verify take as what it is" if "trbf_center" in moving else ""
         message = f"the Gaussians move{lite}; as a model that stands still it would lose {named(moving)}"
@@ -121,7 +129,13 @@ def carrying(header: Header, names: list[str]) -> list[Repair]:
             f"comments and properties that no Gaussian has were dropped: the header has {header.size:,} bytes already"
         )
         return [Repair("header_too_long", 1, text)]
-    return [ignored("properties", names)] if names else []
+    drawn = [name for name in names if _DRAWN.match(name)]
+    text = (
+        f"{named(drawn)} are colors, materials or kernels beyond spherical harmonics and Gaussians, which only their"
+        " trainer's viewer draws: left out of every picture here and of what is said of the look; no mark is in them"
+    )
+    notes = [Repair("drawn_elsewhere", len(drawn), text)] if drawn else []
+    return [ignored("properties", names), *notes] if names else []
 
 
 def _is_long(header: Header) -> bool:

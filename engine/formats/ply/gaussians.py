@@ -20,6 +20,7 @@ from engine.formats.ply.extras import (
     fuse_filter,
     ignored,
     lines_of,
+    named,
     refuse_codebooks,
     refuse_motion,
 )
@@ -78,7 +79,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
         mode = mode or ANTIALIASED
     logits = arrays["opacity_logits"]
     origin, moved = georeferenced(records, arrays["means"], arrays["log_scales"])
-    repairs += [*moved, *activation_hints(arrays["log_scales"], logits)]
+    repairs += [*moved, *activation_hints(arrays["log_scales"], logits, arrays["sh"][:, 0])]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
     rows = None if model.file_rows is None else model.file_rows.rows
     model = model.with_(origin=origin, carried=carried_by(header, records, more, rows))
@@ -137,7 +138,8 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     if vertex is None:
         there = ", ".join(repr(e.name) for e in header.elements[:5])
         raise FormatError(f"has no element 'vertex', only {there}", file=file)
-    refuse_motion(vertex, file=file)
+    if vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
+        refuse_motion(vertex, file=file)
     if "f_dc_0" not in vertex.names and any(name.startswith(_ANCHORS) for name in vertex.names):
         message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
         raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
@@ -145,7 +147,10 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         message = "is of Deformable Beta Splatting, whose kernels are no Gaussians: train the scene as Gaussians"
         raise UnsupportedFormatError(message, file=file, element="vertex", prop="beta")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
-        message = "is missing; where the colors lie in codebook files of its own (Compact3D), give the folder"
+        message = (
+            "is missing; where the colors lie in codebook files of its own (Compact3D), give the folder; where they"
+            " have another name, give them this one"
+        )
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
     if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names
@@ -155,7 +160,10 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     needed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
     for name in [*needed, "rot_0", "rot_1", "rot_2", "rot_3"]:
         if name not in vertex.names:
-            raise FormatError("is missing", file=file, element="vertex", prop=name)
+            known = {*needed, "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", *_NORMALS}
+            others = [p.name for p in vertex.properties if p.name not in known and not p.name.startswith("f_rest_")]
+            there = f"; not known here: {named(others)}: give each the name that INRIA's files have" if others else ""
+            raise FormatError(f"is missing{there}", file=file, element="vertex", prop=name)
 
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.errors import FormatError
+from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.guards import check_count
+from engine.formats.other_files import ZIP_WITHOUT_SCENE
 from engine.formats.repairs import Repair
 from engine.formats.sog.archive import MAX_META_BYTES, META, Archive, Folder, Within, ZipArchive, write_zip
 from engine.formats.sog.decoding import decode_scene
@@ -35,6 +36,8 @@ def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
         from engine.formats.sog.bundle import read_streamed
 
         return read_streamed(archive, file=file)
+    if not archive.has(META):  # its name is in a scene that the archive holds
+        raise UnsupportedFormatError(ZIP_WITHOUT_SCENE, file=file)
     scene = Within(archive, archive.folder_of(META))
     meta = parse_meta(scene.read(META, MAX_META_BYTES), file=file)
     return decode_scene(meta, scene, file=file)

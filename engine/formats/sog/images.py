@@ -13,6 +13,11 @@ Pixels = npt.NDArray[np.uint8]
 
 _PNG, _IHDR = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", struct.Struct(">IIB")
 
+REENCODED = (
+    "a SOG's images are numbers: resizing or packing with loss, as image optimizers and CDNs do, destroys them; export"
+    " the scene again, and serve it as it is"
+)
+
 MAX_SIDE = 16383
 """Largest side of a WebP image."""
 
@@ -30,13 +35,14 @@ def lossless_size(data: bytes, *, file: str, element: str) -> tuple[int, int]:
     if data.startswith(_PNG):
         return _png_size(data, file=file, element=element)
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise FormatError("is no WebP or PNG image", file=file, element=element)
+        raise FormatError(f"is no WebP or PNG image; {REENCODED}", file=file, element=element)
     position = 12
     while position + 8 <= len(data):
         tag, length = struct.unpack_from("<4sI", data, position)
         position += 8
         if tag in (b"VP8 ", b"ANIM", b"ANMF"):
-            raise UnsupportedFormatError("is a lossy or animated WebP image", file=file, element=element)
+            message = f"is a lossy or animated WebP image; {REENCODED}"
+            raise UnsupportedFormatError(message, file=file, element=element)
         if tag == b"VP8L":
             if position + 5 > len(data) or data[position] != 0x2F:
                 break

@@ -98,12 +98,15 @@ class _Reader:
         else:
             scales, color = self._ramps("scales", 3), self._ramps("sh0", 4)
             dc, opacity = color[:3], color[3]
+        mins, maxs = self._numbers("means", "mins", 3), self._numbers("means", "maxs", 3)
+        if (mins > maxs).any():
+            raise self._fault("is below means.mins", "means.maxs")
         return SogMeta(
             version=version,
             count=count,
             files=files,
-            mins=self._numbers("means", "mins", 3),
-            maxs=self._numbers("means", "maxs", 3),
+            mins=mins,
+            maxs=maxs,
             scales=scales,
             dc=dc,
             opacity=opacity,

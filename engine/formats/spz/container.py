@@ -97,7 +97,7 @@ def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: i
             f"is gzip, but no SPZ file (magic {magic:#010x}): unpack it first", file=file, element="header"
         )
     if header.version not in versions:
-        message = f"SPZ version {header.version}, read are 1 to 4"
+        message = f"SPZ version {header.version}, read are 1 to 4: export one of these, or .ply"
         if header.version == 4:
             message = "SPZ version 4 inside gzip, which it has no need of: unpack it first (gunzip)"
         raise UnsupportedFormatError(message, file=file, element="header")
@@ -152,7 +152,8 @@ def _unpack_plain(data: bytes, *, file: str) -> Payload:
 def _split(header: Header, body: bytes, *, file: str) -> Payload:
     expected, count = sum(header.section_sizes), header.count
     if len(body) < expected:
-        raise FormatError(f"{len(body)} bytes of {count} Gaussians, expected {expected}", file=file)
+        message = f"{len(body)} bytes of {count} Gaussians, expected {expected}: cut off, or the count is wrong"
+        raise FormatError(message, file=file)
     if len(body) > expected + header.spare:
         raise FormatError(f"more than the {expected} bytes that {count} Gaussians take", file=file)
     view = memoryview(body)

@@ -1,6 +1,7 @@
 """The axes in which an SPZ file stores its scene, and the way from there to the axes of PLY."""
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -95,8 +96,23 @@ def coordinate_system_record(number: int) -> bytes:
     return struct.pack("<III", COORDINATE_SYSTEM_EXTENSION, 4, number)
 
 
+def other_extensions(extensions: bytes, *, file: str) -> list[str]:
+    """Types of the extension records that say nothing of the axes."""
+    return [f"{kind:#010x}" for kind, _ in _records(extensions, file) if kind != COORDINATE_SYSTEM_EXTENSION]
+
+
 def _declared_frame(extensions: bytes, *, file: str) -> int | None:
-    position, declared = 0, None
+    for kind, record in _records(extensions, file):
+        if kind == COORDINATE_SYSTEM_EXTENSION:
+            if len(record) != 4:
+                raise FormatError(f"frame takes {len(record)} bytes, expected 4", file=file, element="extensions")
+            return int.from_bytes(record, "little")
+    return None
+
+
+def _records(extensions: bytes, file: str) -> Iterator[tuple[int, bytes]]:
+    """Type and content of each record."""
+    position = 0
     while position < len(extensions):
         if position + 8 > len(extensions):
             raise FormatError("an extension record is cut off", file=file, element="extensions")
@@ -105,9 +121,5 @@ def _declared_frame(extensions: bytes, *, file: str) -> int | None:
         if length > len(extensions) - position:
             message = f"extension {kind:#010x} claims {length} bytes, {len(extensions) - position} are left"
             raise FormatError(message, file=file, element="extensions")
-        if kind == COORDINATE_SYSTEM_EXTENSION and declared is None:
-            if length != 4:
-                raise FormatError(f"frame takes {length} bytes, expected 4", file=file, element="extensions")
-            declared = struct.unpack_from("<I", extensions, position)[0]
+        yield kind, extensions[position : position + length]
         position += length
-    return declared

@@ -9,6 +9,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.formats import modes
+from engine.formats.ply.extras import named
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.spz.attributes import (
     choose_fractional_bits,
@@ -23,7 +24,14 @@ from engine.formats.spz.attributes import (
     encode_all,
 )
 from engine.formats.spz.container import ANTIALIASED, Header, pack, unpack
-from engine.formats.spz.frames import RUB, SPECIFICATION, Frame, coordinate_system_record, frame_change
+from engine.formats.spz.frames import (
+    RUB,
+    SPECIFICATION,
+    Frame,
+    coordinate_system_record,
+    frame_change,
+    other_extensions,
+)
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 
@@ -56,6 +64,9 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="points")
     if header.sh_degree > 3:
         repairs = (degree_dropped(header.sh_degree, header.count), *repairs)
+    if others := other_extensions(payload.extensions, file=file):
+        text = f"extension records of {named(others)} were ignored: nothing of a Gaussian"
+        repairs = (Repair("extra_extensions", len(others), text), *repairs)
     if change.turn is not None:
         model = transform_model(model, 1.0, change.turn, np.zeros(3))
     return modes.with_mode(model, modes.ANTIALIASED if header.flags & ANTIALIASED else None), repairs

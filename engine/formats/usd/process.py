@@ -27,6 +27,7 @@ MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 8
 
 SCHEMA = "ParticleField3DGaussianSplat"
 SH, DEGREE = "radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree"
+OTHERS = "others"
 FIELDS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, SH: 3}
 """Attributes of a Gaussian: floats, or half floats under a name that ends in "h"; and the width of a row."""
 
@@ -73,8 +74,11 @@ def _arrays(path: Path) -> Iterator[tuple[str, npt.NDArray[Any]]]:
         shown = [p for p in prims if UsdGeom.Imageable(p).ComputeVisibility() != UsdGeom.Tokens.invisible]
         if not shown:
             raise UnsupportedFormatError(f"holds no Gaussians: no prim that is shown is a {SCHEMA}")
+        yield OTHERS, np.array(list(_others(stage, shown)), dtype=np.str_)
         for number, prim in enumerate(shown):
             name = str(prim.GetPath())
+            if any(UsdGeom.Xformable(p).TransformMightBeTimeVarying() for p in _upwards(prim) if UsdGeom.Xformable(p)):
+                raise UnsupportedFormatError("moves with time: export one moment", element=name, prop="xformOp")
             yield f"{number}/name", np.array(name)
             yield f"{number}/{DEGREE}", np.array(prim.GetAttribute(DEGREE).Get())
             matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
@@ -84,6 +88,23 @@ def _arrays(path: Path) -> Iterator[tuple[str, npt.NDArray[Any]]]:
     except (RuntimeError, ValueError, BadZipFile) as error:  # what the library says of damaged bytes
         reason = " ".join(_text(error).replace(str(path), "").split())[-120:]
         raise FormatError(f"cannot be read as OpenUSD ({reason!a})") from None
+
+
+def _upwards(prim: Any) -> Iterator[Any]:
+    """The prim, and those above it."""
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
+
+
+def _others(stage: Any, shown: list[Any]) -> Iterator[str]:
+    """Paths of prims, and names of attributes of Gaussians, that are not read."""
+    for prim in stage.Traverse():
+        if prim.GetTypeName() not in ("", "Xform", "Scope") and prim not in shown:
+            yield str(prim.GetPath())
+    known = {DEGREE, "extent", "visibility", "xformOpOrder", *FIELDS, *(name + "h" for name in FIELDS)}
+    names = {each.GetName() for prim in shown for each in prim.GetAuthoredAttributes()}
+    yield from sorted(name for name in names - known if not name.startswith("xformOp:"))
 
 
 def _text(error: Exception) -> str:

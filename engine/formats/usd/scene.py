@@ -23,8 +23,9 @@ from engine.errors import FormatError, InputError, UnsupportedFormatError
 from engine.extras import load_extra
 from engine.formats.gltf.nodes import as_similarity
 from engine.formats.guards import check_count
+from engine.formats.ply.extras import named
 from engine.formats.repairs import Repair, clean, degree_dropped
-from engine.formats.usd.process import DEGREE, FIELDS, SECONDS, SH
+from engine.formats.usd.process import DEGREE, FIELDS, OTHERS, SECONDS, SH
 from engine.model import GaussianModel, joined
 from engine.numerics.similarity import transform_model
 
@@ -66,8 +67,10 @@ def read_usd(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
     except InputError as error:
         raise UnsupportedFormatError(str(error), file=file) from None
     found = _opened(data, file)
+    others = found.pop(OTHERS).tolist()
     parts: list[GaussianModel] = []
-    repairs: list[Repair] = []
+    text = f"what is no Gaussian of the scene was ignored: {named(others)}"
+    repairs = [Repair("extra_usd", len(others), text)] if others else []
     for number in range(len({key.partition("/")[0] for key in found})):
         part, mended = _read_prim({key: found[f"{number}/{key}"] for key in _PARTS}, len(data), file)
         parts.append(part)
@@ -102,7 +105,7 @@ def write_usd(model: GaussianModel, kind: str) -> bytes:
         return (packed if kind == "usdz" else scene).read_bytes()
 
 
-def _opened(data: bytes, file: str) -> Mapping[str, npt.NDArray[Any]]:
+def _opened(data: bytes, file: str) -> dict[str, npt.NDArray[Any]]:
     """The arrays of a scene, as `process` finds them."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"scene.{kind_of_usd(data)}"
