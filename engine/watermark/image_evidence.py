@@ -9,6 +9,7 @@ suspect and the unmarked reference alone, never a chip. The grain's chips are re
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import TypeVar
 
@@ -21,6 +22,7 @@ from engine.pictures.alignment.color_change import ColorChange
 from engine.pictures.alignment.residual import image_cotangent
 from engine.pictures.alignment.tone_and_light import Toned, fit_colors
 from engine.pictures.jpeg.coded_blocks import agreement, block_spread, find_grid, jpeg_cotangent, match_exposure
+from engine.pictures.jpeg.coded_chroma import CodedChroma
 from engine.pictures.jpeg.config import CONFIG as JPEG
 from engine.raster import View
 from engine.watermark.alike_kernels import scale_alike, sum_alike
@@ -115,13 +117,20 @@ class PictureEvidence:
 
 def _balance(grain: Evidence, tint: Evidence) -> None:
     """Scale the grain's evidence so that each layer counts for what it should show: z over the norm of each."""
-    (z_tint, norm_tint), (z_grain, norm_grain) = _promise(tint), _promise(grain)
-    if not z_grain > 0:
+    times = _times(grain, tint)
+    if times == 0.0:
         grain.weights[:] = 0.0
         return
-    times = z_grain / z_tint * norm_tint / norm_grain if z_tint > 0 else 1.0
     np.multiply(grain.y, times, out=grain.y)
     np.multiply(grain.signal, times, out=grain.signal)
+
+
+def _times(one: Evidence, other: Evidence) -> float:
+    """By which the one's evidence is scaled for each to count for what it should show; 0 where that is nothing."""
+    (z_other, norm_other), (z, norm) = _promise(other), _promise(one)
+    if not z > 0:
+        return 0.0
+    return z / z_other * norm_other / norm if z_other > 0 else 1.0
 
 
 def _promise(layer: Evidence) -> tuple[float, float]:
@@ -194,12 +203,11 @@ def gather_image_evidence(
         The reference at the same camera where the mark has a grain, whose chips then follow the tint's.
     """
     blur = mark.blur
-    weigh = _reader(layout, view, reference, warped, mask, through, blur)
-
-    cotangents = [reference, reference]
+    readers = _readers(layout, view, reference, warped, mask, through, blur)
+    cotangents = [reference] * (2 * len(readers))
 
     def weigh_one(turn: int) -> None:
-        cotangent = weigh(reference if turn == 0 else reference + mark.image)
+        cotangent = readers[turn // 2](reference if turn % 2 == 0 else reference + mark.image)
         cotangents[turn] = np.ascontiguousarray(cotangent if blur is None else blur.adjoint(cotangent))
 
     run_turns(weigh_one, len(cotangents), thread_count())  # most of it is one thread's, and lets go of Python's lock
@@ -219,20 +227,34 @@ def gather_image_evidence(
     # How y answers to a mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim.
     _, less = read(cotangents[1])
+    signs = mark.signs.astype(np.float32)
     parts, weights = [(layout.chips, len(layout.directions[0]))], layout.amplitudes.astype(np.float32)
     if geometry is not None:
         weights = np.concatenate([weights, geometry.weights()])
         parts.append((len(weights) - layout.chips, ATTRIBUTES))
+    layers = [slice(end - chips, end) for end, (chips, _) in zip(np.cumsum([n for n, _ in parts]), parts, strict=True)]
+    for first in range(2, len(cotangents), 2):
+        also, more = read(cotangents[first])
+        _, fewer = read(cotangents[first + 1])
+        for part in layers:
+            shown = _shown(more, fewer, weights, signs, part), _shown(y, less, weights, signs, part)
+            times = np.float32(_times(*shown))
+            y[part] += times * more[part]
+            less[part] += times * fewer[part]
+            if part.start == 0:
+                pulled = pulled + times * also
     limits = np.concatenate(
-        [
-            _limits(weights[end - chips : end] * y[end - chips : end], kinds)
-            for end, (chips, kinds) in zip(np.cumsum([chips for chips, _ in parts]), parts, strict=True)
-        ]
+        [_limits(weights[part] * y[part], kinds) for part, (_, kinds) in zip(layers, parts, strict=True)]
     )
     held, held_less = _saturate(y, weights, limits), _saturate(less, weights, limits)
-    signs = mark.signs.astype(np.float32)
     answers = signs * (y - less), held, signs * (held - held_less)
     return PictureEvidence(tuple(parts), weights, y, *answers, (pulled,))
+
+
+def _shown(y: Float32, less: Float32, weights: Float32, signs: Float32, layer: slice) -> Evidence:
+    """A layer of what was read, in double precision; `less` is what is left of y over a mark of these signs."""
+    exact = y[layer].astype(np.float64)
+    return Evidence(exact, weights[layer].astype(np.float64), signs[layer] * (exact - less[layer]))
 
 
 def gather_again(layout: Layout, pulled: Sequence[Float32]) -> Evidence:
@@ -253,7 +275,8 @@ def layer_evidence(
     The picture (H, W, 3) lies in the reference's pixels, all of which carry evidence.
     """
     everywhere = np.ones(picture.shape[:2], dtype=bool)
-    cotangent = np.ascontiguousarray(_reader(layout, view, reference, picture, everywhere, None, None)(reference))
+    readers = _readers(layout, view, reference, picture, everywhere, None, None)
+    cotangent = np.ascontiguousarray(sum(read(reference) for read in readers), dtype=np.float32)
 
     def saturated(y: Float64, weights: Float64, kinds: int) -> Float64:
         return np.asarray(weights * _saturate(y, weights, _limits(weights * y, kinds)))
@@ -271,7 +294,7 @@ def _gathered(layout: Layout, pulled: Float32) -> Float64:
     return np.asarray(SH_C0 * layout.gather(pulled))
 
 
-def _reader(
+def _readers(
     layout: Layout,
     view: View,
     reference: Float32,
@@ -279,36 +302,58 @@ def _reader(
     mask: Bool,
     through: Float32 | None,
     blur: Blur | None,
-) -> Callable[[Float32], Float32]:
-    """Function from a render (H, W, 3) that the picture is held against, the reference or nearly, to the weighted
-    residual (H, W, 3) that is to be pulled back."""
+) -> list[Callable[[Float32], Float32]]:
+    """Functions from a render (H, W, 3) that the picture is held against, the reference or nearly, to the weighted
+    residual (H, W, 3) that is to be pulled back: one, or one of brightness and one of chroma, which a coder treats
+    otherwise."""
     own = warped if through is None else warped - through
 
-    def exposed_as_coded(known: Float32) -> Float32:
-        exposed = match_exposure(known, own, mask)
-        return exposed if through is None else np.clip(exposed + through, 0.0, 1.0)  # the coder saw both
+    def as_coded(known: Float32) -> Float32:
+        return known if through is None else np.clip(known + through, 0.0, 1.0)  # the coder saw both
 
-    grid, spread = find_grid(warped), None
-    if grid is not None:
-        coded = exposed_as_coded(reference)
-        agreed = agreement(grid.part(coded), grid.part(warped), grid.part(mask), grid.quality)
-        grid = grid if agreed >= JPEG.own_agreement else None
+    def exposed_as_coded(known: Float32) -> Float32:
+        return as_coded(match_exposure(known, own, mask))
+
+    grid = find_grid(warped)
+    pattern = None
     if grid is not None:
         pattern = _public_pattern(layout, view)
-        spread = block_spread(grid.part(pattern if blur is None else blur.apply(pattern)))
-    toned = fit_colors(reference, own, mask) if grid is None and mask.any() else None
+        pattern = grid.part(pattern if blur is None else blur.apply(pattern))
+        coded = exposed_as_coded(reference)
+        agreed = agreement(grid.part(coded), grid.part(warped), grid.part(mask), grid.quality)
+        if agreed >= JPEG.own_agreement:
+            spread = block_spread(pattern)
 
-    def weigh(known: Float32) -> Float32:
-        if grid is not None and spread is not None:
-            exposed = coded if known is reference else exposed_as_coded(known)
-            chroma = image_cotangent(exposed, warped, mask, Toned(exposed, np.ones_like(exposed)), chroma_alone=True)
-            blocks = grid.part(exposed), grid.part(warped), grid.part(mask)
-            return grid.whole(jpeg_cotangent(*blocks, spread, grid.quality), exposed.shape) + chroma
+            def score(known: Float32) -> Float32:
+                exposed = coded if known is reference else exposed_as_coded(known)
+                plain = Toned(exposed, np.ones_like(exposed))
+                chroma = image_cotangent(exposed, warped, mask, plain, planes=slice(1, 3))
+                blocks = grid.part(exposed), grid.part(warped), grid.part(mask)
+                return grid.whole(jpeg_cotangent(*blocks, spread, grid.quality), exposed.shape) + chroma
+
+            return [score]
+    toned = fit_colors(reference, own, mask) if mask.any() else None
+
+    def near(known: Float32) -> Toned | None:
         # The colours of a render that differs by a mark are the reference's: fitting them again takes half of the time.
-        near = toned and Toned(toned.predicted + toned.slope * (known - reference), toned.slope)
-        return image_cotangent(known, own, mask, near)
+        return toned and Toned(toned.predicted + toned.slope * (known - reference), toned.slope)
 
-    return weigh
+    def weigh(known: Float32, planes: slice = slice(3)) -> Float32:
+        return image_cotangent(known, own, mask, near(known), planes=planes)
+
+    chroma = None
+    if grid is not None and pattern is not None:
+        chroma = CodedChroma.of(grid.part(warped), grid.part(mask), pattern, grid.quality)
+    if grid is None or chroma is None:
+        return [weigh]
+
+    def weigh_chroma(known: Float32) -> Float32:
+        shown = near(known)
+        exposed = known if shown is None else np.clip(shown.predicted, 0.0, 1.0)
+        said = grid.whole(chroma.cotangent(grid.part(as_coded(exposed))), known.shape)
+        return said if shown is None else said * shown.slope
+
+    return [partial(weigh, planes=slice(1)), weigh_chroma]
 
 
 def _public_pattern(layout: Layout, view: View) -> Float32:

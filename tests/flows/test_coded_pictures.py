@@ -73,6 +73,16 @@ def test_a_jpeg_of_another_renderer_is_read_by_what_its_errors_leave(
     assert read[1] == scored[1]
 
 
+def test_chroma_of_another_renderers_jpeg_is_read_by_its_intervals(
+    scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    antialiased = to_8_bit(render(scene.marked, camera, settings=RasterSettings(antialiased=True)))
+    coded = attacked(antialiased, ("jpeg", 80))
+    read = z(scene, camera, coded)
+    monkeypatch.setattr("engine.watermark.image_evidence.CodedChroma.of", lambda *_: None)
+    assert read > 1.03 * z(scene, camera, coded) > 5.0
+
+
 def test_a_jpeg_of_another_renderer_is_not_carried(
     scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch
 ) -> None:

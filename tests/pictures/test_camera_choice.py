@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -84,3 +85,34 @@ def test_a_frame_of_a_few_pixels_is_not_searched(rows: int, searched: bool) -> N
     got = camera_search._within_frame(look, cast(Picture, FakePicture()), cast(Candidates, Framed()), image, search)
     assert got is whole
     assert bool(asked) is searched
+
+
+def settling(support: int, correlation: float, uncovered: float, mirrored: bool = False) -> Candidate:
+    return Candidate(CAMERA, mirrored, support, correlation=correlation, uncovered_correlation=uncovered)
+
+
+def test_the_first_look_follows_a_camera_that_is_nearly_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To what the picture and a render from there agree on, before the mirror image is searched."""
+    rough, near = settling(47, 0.85, 0.94), settling(300, 0.98, 0.98)
+    other = settling(34, 0.3, 0.3, mirrored=True)
+    drawn: list[Candidate] = []
+
+    def candidates(*them: Candidate) -> Iterator[Candidate]:
+        for each in them:
+            drawn.append(each)
+            yield each
+
+    refined = SimpleNamespace(gain=1.0)
+    monkeypatch.setattr(camera_search, "_refine_small", lambda _, proposed: (proposed, refined))
+    picture = cast(Picture, SimpleNamespace(score=lambda *_: float(len(drawn))))
+    sides = {"side": 256}
+    for closer, tried in ((near, [rough, near]), (rough, [rough, rough, other])):
+        drawn.clear()
+        hands = {
+            False: candidates(*(replace(each, **sides) for each in (rough, closer, rough))),
+            True: candidates(replace(other, **sides)),
+        }
+        look = camera_search._first_look(picture, hands)
+        assert [(each.support, each.mirrored) for each in drawn] == [(each.support, each.mirrored) for each in tried]
+        assert look.strongest is not None
+        assert look.strongest.support == rough.support

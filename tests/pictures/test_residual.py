@@ -75,7 +75,7 @@ def test_chroma_alone_is_what_is_left_without_brightness() -> None:
     toned = Toned(case.plain, np.ones_like(case.plain))
     shown = case.image + np.float32(0.01) * np.random.default_rng(0).standard_normal(case.image.shape, dtype=np.float32)
     whole = image_cotangent(case.plain, shown, mask, toned)
-    chroma = image_cotangent(case.plain, shown, mask, toned, chroma_alone=True)
+    chroma = image_cotangent(case.plain, shown, mask, toned, planes=slice(1, 3))
     gray = np.ones(3, np.float32)  # Y of grey is its level, Cb and Cr are nothing
     assert np.abs(chroma @ gray).max() < 1e-4 * np.abs(whole @ gray).max()
     rest = whole - chroma

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures.camera import camera_search
+from engine.pictures.camera import camera_search, uneven_pixels
 from engine.pictures.camera.camera_motion import UNEVEN, project
 from engine.pictures.camera.camera_proposals import Candidate, Candidates
 from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.keypoint_cameras import MatchedKeypoints
 from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
 from engine.pictures.camera.pose_ransac import Hypothesis, fit_camera
 from engine.pictures.camera.uneven_pixels import refine_shape
@@ -152,3 +153,11 @@ def test_a_shape_must_explain_more_than_square_pixels_do_in_the_end(
     assert found is not None
     assert found.shape is None
     assert found.correlation > 0.97
+
+
+def test_beside_a_settled_camera_no_shape_far_from_square_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    sought: list[float] = []
+    monkeypatch.setattr(uneven_pixels, "_from_ratio", lambda _, ratio, __: sought.append(ratio))
+    for nearly_square in (True, False):
+        assert uneven_pixels.find_shape(cast(MatchedKeypoints, None), None, (1.0,), nearly_square=nearly_square) is None
+        assert bool(sought) is not nearly_square

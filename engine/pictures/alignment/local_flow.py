@@ -56,7 +56,7 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
     used = (shown & (agreed > 0.5)).astype(np.float32)
     flow = _filled(flow, used, _CONFIG.filled)
     for _ in range(_CONFIG.rounds):
-        flow = flow + _step(expected, picture, flow, used)
+        flow = flow + _step(expected, seen, flow, used)
     warped, inside = remap(picture, _positions(flow))
     there = luma(warped)
     expected = predict_brightness(gray, there, inside & shown)
@@ -116,11 +116,11 @@ def _dense(expected: Float32, seen: Float32) -> tuple[Float32, Bool]:
     return np.asarray(flow), np.asarray(agreed)
 
 
-def _step(expected: Float32, picture: Float32, flow: Float32, used: Float32) -> Float32:
-    """(H, W, 2) what to add to the flow: Gauss-Newton in windows."""
-    warped, inside = remap(picture, _positions(flow))
+def _step(expected: Float32, seen: Float32, flow: Float32, used: Float32) -> Float32:
+    """(H, W, 2) what to add to the flow: Gauss-Newton in windows, of brightness."""
+    warped, inside = remap(seen[..., None], _positions(flow))
     known = smooth(expected, _CONFIG.blur)
-    residual = smooth(luma(warped), _CONFIG.blur) - known
+    residual = smooth(warped[..., 0], _CONFIG.blur) - known
     counted = inside & (used > 0)
     if not counted.any():
         return np.zeros_like(flow)

@@ -22,23 +22,22 @@ from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import Toned, fit_colors, robust_regression
 
-__all__ = ["image_cotangent"]
+__all__ = ["OPPONENT", "image_cotangent"]
 
 _CONFIG = CONFIG.residual
-_OPPONENT = np.array(
-    [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], dtype=np.float32
-)
+OPPONENT = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], dtype=np.float32)
 """Rows: Y, Cb, Cr of JPEG. JPEG treats brightness and chroma apart, and so must the weights."""
 
 
 def image_cotangent(
-    reference_image: Float32, warped: Float32, mask: Bool, toned: Toned | None = None, *, chroma_alone: bool = False
+    reference_image: Float32, warped: Float32, mask: Bool, toned: Toned | None = None, *, planes: slice = slice(3)
 ) -> Float32:
     """(H, W, 3) weighted residual of a picture, to be pulled back by the rasterizer's VJP; zero outside the mask.
 
     `reference_image` is the render of the unmarked reference, `warped` the picture in the same pixels, both 0..1;
     `mask` (H, W) are the pixels that carry evidence: all zeros when it holds too little to fit anything. `toned` is the
-    reference in the picture's colours, fitted here where it is not given; `chroma_alone` leaves brightness out.
+    reference in the picture's colours, fitted here where it is not given; of brightness and both chromas the `planes`
+    are read.
     InputError if the shapes differ.
     """
     if reference_image.shape != warped.shape or reference_image.shape[:2] != mask.shape:
@@ -50,16 +49,16 @@ def image_cotangent(
     usable = mask & (toned.slope.min(axis=2) > _CONFIG.least_slope)
     if usable.sum() < _CONFIG.least_pixels:
         return np.zeros_like(reference)
-    residual = ((warped - toned.predicted) * usable[..., None]) @ _OPPONENT.T  # (H, W, 3): Y, Cb, Cr
-    expected = toned.predicted @ _OPPONENT.T
+    residual = ((warped - toned.predicted) * usable[..., None]) @ OPPONENT.T  # (H, W, 3): Y, Cb, Cr
+    expected = toned.predicted @ OPPONENT.T
     weighted = np.zeros_like(residual)
     coverage = _coverage(usable)
-    for c in range(1 if chroma_alone else 0, 3):
-        planes = [expected[..., 0]] if c == 0 else [expected[..., 0], expected[..., c]]
-        clean = _take_off_shape(residual[..., c], planes, usable)
+    for c in range(3)[planes]:
+        shape = [expected[..., 0]] if c == 0 else [expected[..., 0], expected[..., c]]
+        clean = _take_off_shape(residual[..., c], shape, usable)
         weighted[..., c] = _whiten(clean, residual[..., c], expected[..., c], coverage)
     # The transpose of the change of colours, of the slope and of the mask: this is a cotangent.
-    return np.ascontiguousarray((weighted @ _OPPONENT) * toned.slope * usable[..., None], dtype=np.float32)
+    return np.ascontiguousarray((weighted @ OPPONENT) * toned.slope * usable[..., None], dtype=np.float32)
 
 
 def _take_off_shape(residual: Float32, planes: list[Float32], usable: Bool) -> Float32:

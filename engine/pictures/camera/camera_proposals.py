@@ -132,10 +132,12 @@ class Candidates:
         rows, columns = frame
         return rows, slice(self._picture.size[0] - columns.stop, self._picture.size[0] - columns.start)
 
-    def shape(self, first: Candidate | None) -> PixelShape | None:
-        """Shape of the picture's pixels, where they are not square; `first` is what keypoints agree on if they are."""
+    def shape(self, first: Candidate | None, settled: bool) -> PixelShape | None:
+        """Shape of the picture's pixels, where they are not square; `first` is what keypoints agree on if they are, and
+        its render is that of a `settled` candidate: pixels far from square leave none."""
         mirrored = first is not None and first.mirrored
-        found = find_shape(self._matches(mirrored), None if first is None else first.camera, self._focals)
+        start = None if first is None else first.camera
+        found = find_shape(self._matches(mirrored), start, self._focals, nearly_square=settled)
         if found is None:
             return None
         shape = refine_shape(self._picture.model, self._picture.turned(mirrored), found)

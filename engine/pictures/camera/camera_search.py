@@ -3,15 +3,15 @@
 `find_camera` takes these steps, and ends as soon as one gives a camera that needs no further search:
 
 1. Strongest keypoint candidates. Keypoints of the picture are matched to landmarks of the record; PnP-RANSAC over a
-   ladder of focal lengths gives a camera, which is refined on a small picture. If that does not settle it, the
-   candidate of the picture's mirror image competes.
+   ladder of focal lengths gives a camera, which is refined on a small picture. If that is nearly right, what picture
+   and render from there agree on is looked at. If that does not settle it, the picture's mirror image competes.
 2. Full size at once, for a settled candidate that nearly explains the small picture, or where the picture is blurred.
 3. A plain ground with something small on it (`find_subject`): the search begins again with that alone. Outlines are
    sought in a picture of 96 pixels, details compared in one of 320: too few for an asset that takes up a third of it.
 4. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
 5. A page around the viewer (`viewer_frame`): the search begins again within the frame.
 6. The camera of step 2 or 5, if there is one, is the result.
-7. All other keypoint candidates.
+7. All other keypoint candidates. Steps 7 to 9 are left out where step 1 has explained the picture.
 8. Views of the bank that keypoints vote for (`voted_views`).
 9. Outlines, edges and colors of many views (`view_search`), and a climb from the best (`view_climb`).
 10. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, blurred as the
@@ -23,9 +23,10 @@ A picture of another scene fails at the correlation with the render, or at the c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, islice
 
 import numpy as np
 
@@ -112,16 +113,32 @@ def find_camera(
         found = _within_frame(look, picture, candidates, image, search)
     if found is not None:  # 6
         return found
+    best = look.best
+    if best is None or not look.explained:
+        best = _searched_on(picture, candidates, keypoint_candidates, look, config.parts, far, bank)
+    return None if best is None else _refine_to_full_size(picture, best)  # 10
+
+
+def _searched_on(
+    picture: Picture,
+    candidates: Candidates,
+    keypoint_candidates: dict[bool, Iterator[Candidate]],
+    look: _FirstLook,
+    parts: bool,
+    far: Callable[[], FarViews] | None,
+    bank: Callable[[], Sequence[Camera]] | None,
+) -> Candidate | None:
+    """Steps 7 to 9: the best of all candidates."""
     strongest = look.strongest
     mirrored = strongest is not None and strongest.mirrored
-    best = _best_candidate(picture, keypoint_candidates[mirrored], look.best)  # 7
+    best = _best_candidate(picture, keypoint_candidates[mirrored], look.best)
     if strongest is None or not strongest.supported:
         best = _best_candidate(picture, keypoint_candidates[not mirrored], best)
-    if bank is not None and (best is None or not best.sure):  # 8
+    if bank is not None and (best is None or not best.sure):
         best = _best_candidate(picture, candidates.by_votes(bank()), best)
-    if far is not None and (best is None or not best.sure):  # 9
-        best = _best_candidate(picture, candidates.by_edges(far(), config.parts), best)
-    return None if best is None else _refine_to_full_size(picture, best)  # 10
+    if far is not None and (best is None or not best.sure):
+        best = _best_candidate(picture, candidates.by_edges(far(), parts), best)
+    return best
 
 
 def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCamera) -> FoundCamera | None:
@@ -144,15 +161,24 @@ def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCam
     return replace(found, mirrored=last.mirrored, shape=last.shape, frame=last.frame)
 
 
-def _first_look(picture: Picture, keypoint_candidates: Mapping[bool, Iterator[Candidate]]) -> _FirstLook:
+def _first_look(picture: Picture, keypoint_candidates: dict[bool, Iterator[Candidate]]) -> _FirstLook:
     """Steps 1 and 2, from the keypoint candidates by whether they mirror the picture."""
-    strongest = next(keypoint_candidates[False], None)
-    best = None if strongest is None else _best_candidate(picture, [strongest])
-    if best is None or not best.settled:  # keypoints of a symmetric model support the wrong hand, too
-        mirrored = next(keypoint_candidates[True], None)
-        if mirrored is not None:
-            best = _best_candidate(picture, [mirrored], best)
-            strongest = mirrored if strongest is None or mirrored.support > strongest.support else strongest
+    strongest = best = None
+    for mirrored in (False, True):  # keypoints of a symmetric model support the wrong hand, too
+        first = next(keypoint_candidates[mirrored], None)
+        if first is None:
+            continue
+        best = _best_candidate(picture, [first], best)
+        if best is not None and best.sure and not (best.settled or _explained(best)) and best.mirrored == mirrored:
+            nearer = list(islice(keypoint_candidates[mirrored], 1))
+            tried = _best_candidate(picture, nearer, best)
+            if tried is not None and _explained(tried):
+                best = tried
+            else:  # the other hand first
+                keypoint_candidates[mirrored] = chain(nearer, keypoint_candidates[mirrored])
+        strongest = first if strongest is None or first.support > strongest.support else strongest
+        if best is not None and best.settled:
+            break
     look = _FirstLook(strongest, best)
     if best is None or not best.settled or look.explained:
         return look
@@ -177,7 +203,7 @@ def _with_square_pixels(
     look: _FirstLook, candidates: Candidates, image: Float32, search: Callable[[Float32], FoundCamera | None]
 ) -> FoundCamera | None:
     """Step 4: what `search` finds in the picture with square pixels, or in the picture as it is, if that is better."""
-    shape = candidates.shape(look.strongest)
+    shape = candidates.shape(look.strongest, look.best is not None and look.best.settled)
     squared = None if shape is None else search(shape.undo(image))
     if squared is None:
         return None

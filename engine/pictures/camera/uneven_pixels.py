@@ -21,16 +21,18 @@ __all__ = ["find_shape", "refine_shape"]
 _CONFIG = CONFIG.shape
 
 
-def find_shape(matched: MatchedKeypoints, start: Camera | None, focals: tuple[float, ...]) -> Hypothesis | None:
+def find_shape(
+    matched: MatchedKeypoints, start: Camera | None, focals: tuple[float, ...], *, nearly_square: bool = False
+) -> Hypothesis | None:
     """Camera, and shape of a picture's pixels, on which its keypoints agree better than on square ones, how many by
     their error; None where they do not. What is flat looks nearly the same from aside: how it looks must decide.
 
     `start` is the best camera with square pixels; other shapes begin at each of these focal lengths, in widths
-    of the picture.
+    of the picture, unless they are known to be `nearly_square`.
     """
     plain = None if start is None else _fitted(matched, start, SQUARE, PARAMETERS)
     tried = [] if start is None else [_fitted(matched, start, SQUARE, UNEVEN)]
-    tried += [_from_ratio(matched, ratio, focals) for ratio in _CONFIG.ratios]
+    tried += [] if nearly_square else [_from_ratio(matched, ratio, focals) for ratio in _CONFIG.ratios]
     best = max(tried, key=_support_by_error, default=None)
     if best is None or best.support < CONFIG.supported or _support_by_error(best) < _support_by_error(plain):
         return None

@@ -69,8 +69,13 @@ class JpegGrid:
 
 def luma_table(quality: int) -> Float64:
     """(8, 8) quantisation steps of libjpeg at a quality of 1 to 100."""
+    return scaled_table(STANDARD_LUMA_TABLE, quality)
+
+
+def scaled_table(standard: Float64, quality: int) -> Float64:
+    """(8, 8) a standard table's steps as libjpeg scales them to a quality of 1 to 100."""
     factor = 5000 // quality if quality < 50 else 200 - 2 * quality
-    return np.clip((STANDARD_LUMA_TABLE * factor + 50) // 100, 1, 255)
+    return np.clip((standard * factor + 50) // 100, 1, 255)
 
 
 def tiles(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -183,7 +188,12 @@ def block_spread(pattern: Float32) -> Float64:
 
     The spectrum is the whole picture's, its strength that of `nearby` blocks: a mark is loud here and silent there.
     """
-    power = np.square(blocks_of(255.0 * pattern @ LUMA + 128.0))
+    return mark_spread(blocks_of(255.0 * pattern @ LUMA + 128.0))
+
+
+def mark_spread(coefficients: Float64) -> Float64:
+    """As `block_spread`, of a pattern's coefficients (by, bx, 8, 8) in any plane."""
+    power = np.square(coefficients)
     local = power.mean(axis=(2, 3))
     loudness = np.maximum(scipy.ndimage.uniform_filter(local, CONFIG.nearby), 0.0) / max(float(local.mean()), 1e-30)
     return np.asarray(np.sqrt(power.mean(axis=(0, 1)) * loudness[:, :, None, None]))
@@ -212,7 +222,12 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
 
 def _score(observed: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
     """(B, 8, 8) of blocks: how much likelier each unit of colour makes what was stored, `total` the spread of it."""
-    k = _multiples(observed, known, steps)
+    return score_intervals(_multiples(observed, known, steps), known, steps, total)
+
+
+def score_intervals(k: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
+    """(..., 8, 8) score of the multiples k that a coder stored, where it was expected to see `known`, with `total` the
+    standard deviation of all that may differ."""
     low, high = ((k - 0.5) * steps - known) / total, ((k + 0.5) * steps - known) / total
     score = _truncated_mean(low, high) / total
     # A coefficient many deviations from where the reference puts it is something else in the picture.

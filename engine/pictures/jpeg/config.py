@@ -23,6 +23,12 @@ class JpegConfig:
     # Share of equal multiples from which the score reads a picture: our own renders have 0.68 and more at quality 50,
     # viewers' pictures to 0.64. Of these the general weighting reads 1.3 times the z at quality 50, 1.5 at 80
     own_agreement: float = 0.6
+    # Chroma of a coder: mean distance from the nearest multiple of its table, in steps, below which it is that table's
+    # (0.25 is chance), of at least so many multiples that are not zero
+    chroma_off: float = 0.15
+    chroma_loud: int = 40
+    chroma_nearby: int = 5  # blocks a side over which another renderer's error is measured,
+    chroma_quiet: float = 0.1  # and the least share of the picture's that it is taken for
 
 
 CONFIG = JpegConfig()
