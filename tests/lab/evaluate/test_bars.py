@@ -12,7 +12,7 @@ from engine.lab.evaluate.null.null_rates import LOG10_THRESHOLDS, Rates
 from engine.lab.evaluate.perceptual import perceptual_study as perceptual
 from engine.lab.evaluate.steganalysis import steganalysis_study as steganalysis
 from engine.lab.evaluate.study import Bar, Options
-from engine.lab.evaluate.tables.sections import table2
+from engine.lab.evaluate.tables.parts import attack_bars
 
 
 def _null(claims: int, keys: int) -> Sequence[Bar]:
@@ -21,7 +21,7 @@ def _null(claims: int, keys: int) -> Sequence[Bar]:
 
 def _table2(on: str, attack: str, right: int) -> Sequence[Bar]:
     row = {"on": on, "reading": "literal", "attack": attack, "bits": 10_000, "right": right}
-    return table2.bars([row], Options(()))
+    return attack_bars([row], Options(()))
 
 
 def _cost(embed: float, verify_model: float, verify_picture: float) -> Sequence[Bar]:
