@@ -12,8 +12,10 @@ from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import open_record
 from engine.flows.verify.search import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import to_8_bit
-from engine.lab.evaluate.bench.truth import forge, wrong_key_rates
+from engine.lab.evaluate.bench.truth import forge
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
+from engine.lab.evaluate.marked_subjects import picture_of
+from engine.lab.evaluate.null.null_rates import LOG10_THRESHOLDS, count_wrong_keys
 from engine.lab.sim.adversaries.retraining import fine_tune
 from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import GaussianModel
@@ -70,12 +72,13 @@ def test_unmarked_and_foreign_models_never_claim(scene: MarkedScene) -> None:
 
 
 def test_wrong_keys_stay_below_the_stated_bound(scene: MarkedScene) -> None:
-    rates = wrong_key_rates(scene, 20_000)
-    for row in rates:
-        assert row["claims_at_1e-9"] == 0
-        for threshold, measured in row["measured"].items():
-            stated = float(threshold)
-            assert measured <= stated + 5 * np.sqrt(stated / 20_000)
+    camera = scene.opened.cameras[0]
+    of_picture = verify_images([picture_of(scene.marked, camera)], scene.opened, cameras=[camera])
+    for result in (verify_model(scene.marked, scene.opened, VerifyConfig(route="model")), of_picture):
+        row = count_wrong_keys(result.evidence.y, result.evidence.weights, 20_000, result.claim.route)
+        assert row["hits"][-1] == 0, "claims at 1e-9"
+        for log10, hits in zip(LOG10_THRESHOLDS, row["hits"], strict=True):
+            assert hits <= 20_000 * 10.0**log10 + 5 * np.sqrt(20_000 * 10.0**log10)
 
 
 def test_another_key_cannot_open_the_record(small_plant: object) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.reference.deformation import nearest_rotation
-
 
 def project(
     x: np.ndarray, w: np.ndarray, who: np.ndarray, violation: float, gradient: np.ndarray, compliance: float, h: float
@@ -50,18 +48,6 @@ def dashpots(x, v, w, edges, damping, h, backward):  # type: ignore[no-untyped-d
         impulse = (slower - speed) / (w[i] + w[j])
         v[i] += w[i] * impulse * n
         v[j] -= w[j] * impulse * n
-
-
-def shapes(x, w, masses, rest, members, starts, rates, h):  # type: ignore[no-untyped-def]
-    for c, rate in enumerate(rates):
-        who = members[starts[c] : starts[c + 1]]
-        m = masses[who][:, None]
-        center, rest_center = (m * x[who]).sum(axis=0) / m.sum(), (m * rest[who]).sum(axis=0) / m.sum()
-        turn = nearest_rotation((m * (x[who] - center)).T @ (rest[who] - rest_center))
-        goal = center + (rest[who] - rest_center) @ turn.T
-        # The same as a compliant constraint |x - goal| = 0 with stiffness rate^2 m on every point.
-        share = 1 / (1 + 1 / (rate * h) ** 2)
-        x[who] += np.where(w[who] > 0, share, 0.0)[:, None] * (goal - x[who])
 
 
 def pairs(x, rest, surface, body, radii):  # type: ignore[no-untyped-def]

@@ -253,7 +253,6 @@ def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, wo
 
     from engine.flows.views.camera_rig import make_rig
     from engine.formats import read_model
-    from engine.lab.cli.demo_command import SIDE, SUSPECT_SIZE, Panel, draw_demo
     from engine.raster import render
 
     camera = _wider(make_rig(original, 24, SIDE, SIDE)[VIEW])

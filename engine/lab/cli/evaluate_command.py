@@ -14,8 +14,8 @@ from engine.errors import InputError, Mark3DGSError
 from engine.lab.cli.shared import Seed, shipped_scene
 
 TRIALS_HELP = (
-    "Trials: screenshots (50), foreign pictures (200), views looked at (24), wrong keys (100,000), innocent copies "
-    "(10,000), assets (1,000) or keys of a benchmark (1)."
+    "Trials: screenshots (50), foreign pictures (200), views looked at (24), innocent copies (10,000), assets (1,000) "
+    "or keys of a benchmark (1)."
 )
 
 
@@ -55,7 +55,7 @@ def evaluate(
         typer.Option(
             "--method",
             metavar="NAME",
-            help="What is measured: ours (default), qim, spread, dct, rivagan, or a class of yours as module:Class; "
+            help="What is measured: ours (default), qim, spread, dct, or a class of yours as module:Class; "
             "repeatable. (benchmark, flymark, msvs)",
         ),
     ] = None,
@@ -85,7 +85,7 @@ def evaluate(
       mark3dgs evaluate --list
       mark3dgs evaluate --suite pareto --out out/pareto
       mark3dgs evaluate --suite tables --setting table2 --out out/tables
-      mark3dgs evaluate --suite fidelity --scene city.sog
+      mark3dgs evaluate --suite budgets --scene city.sog
     """
     console = Console(json)
     if out is not None and out.exists() and not out.is_dir():

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from engine.lab.evaluate.study import Cell, Options, Report, Row, Section, Study, Table
 
-TRIALS = {"trials": 50, "keys": 100_000, "innocents": 10_000, "assets": 1_000, "pictures": 200}
+TRIALS = {"trials": 50, "innocents": 10_000, "assets": 1_000, "pictures": 200}
 """What `--trials` counts in each suite, and its default."""
 
 
@@ -19,14 +19,12 @@ class Measurement:
     work: str
     reported: tuple[str, ...] = ("profile",)
     """Options that the function takes and the report repeats; those in TRIALS take their number from `--trials`."""
-    unreported: tuple[str, ...] = ()
-    """Options that the function takes and the report leaves to the rows."""
     scenes: Literal["each", "together", "with the next"] = "each"
     """A cell for each scene, or one for all; with `other`, the scene after it (None if it is the only one)."""
 
     def study(self, name: str) -> Study:
         """The suite as a study whose report is the table of its rows."""
-        options = {"trials" if option in TRIALS else option for option in (*self.reported, *self.unreported)}
+        options = {"trials" if option in TRIALS else option for option in self.reported}
         return Study(
             name,
             self.summary[0].upper() + self.summary[1:],
@@ -42,7 +40,7 @@ class Measurement:
 
     def cells(self, name: str, options: Options) -> list[Cell]:
         """One cell a scene, or one for all."""
-        shared = {name: _value(name, options) for name in (*self.reported, *self.unreported)} | {"seed": options.seed}
+        shared = {name: _value(name, options) for name in self.reported} | {"seed": options.seed}
         work, scenes = f"engine.lab.evaluate.bench.{self.work}", list(options.scenes)
         if self.scenes == "together":
             return [Cell(name, work, {"scenes": scenes, **shared})]
@@ -70,9 +68,6 @@ def _section(rows: Sequence[Row]) -> Section:
 
 
 MEASUREMENTS = {
-    "fidelity": Measurement(
-        "dB, SSIM and bits for every message length and the compact output", "marking:measure_fidelity"
-    ),
     "budgets": Measurement(
         "Gaussians, bytes, seconds, dB and z for every pruning budget, without and with recovery",
         "marking:measure_budgets",
@@ -94,12 +89,6 @@ MEASUREMENTS = {
         ("profile", "pictures"),
         scenes="with the next",
     ),
-    "truth": Measurement(
-        "false claims among wrong keys, against the proven bound",
-        "truth:measure_truth",
-        ("profile", "keys"),
-        scenes="together",
-    ),
     "collusion": Measurement(
         "collusion: which of the colluding buyers are named, and whether an innocent one is",
         "truth:measure_collusion",
@@ -112,7 +101,4 @@ MEASUREMENTS = {
         scenes="together",
     ),
     "removal": Measurement("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
-    "retrain": Measurement(
-        "claims from fresh models trained on renders of the marked one", "training:measure_retraining"
-    ),
 }

@@ -1,17 +1,12 @@
-"""What rows add up to: rows picked by their values, shares of bits, means and ranges in words, tables of columns."""
+"""What rows add up to: rows picked by their values, shares of bits, tables of columns."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from engine.lab.evaluate.intervals import bootstrap, share_interval
+from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.study import Row, Table
 
-INTERVALS = (
-    "Shares of bits carry exact 95 % intervals over all bits read (Clopper and Pearson). The bits of one reading "
-    "are not independent, so that interval is too narrow; the exact one of the readings without a single wrong "
-    "bit follows it and assumes only that readings are independent."
-)
 BUSY = 1.5
 """Programs a core (`engine.lab.evaluate.machine.load_per_core`) from which on times are called too long."""
 
@@ -73,11 +68,6 @@ class Accuracy:
             f"{self.whole} of {self.readings} readings whole (at least {100 * self.whole_low:.0f} %)"
         )
 
-    @property
-    def error(self) -> tuple[float, float]:
-        """Lengths of an error bar about the share, in per cent."""
-        return 100 * (self.share - self.low), 100 * (self.high - self.share)
-
 
 def accuracy(rows: Sequence[Row], right: str = "right") -> Accuracy | None:
     """Of rows with ``right`` and ``bits``; None without rows."""
@@ -86,30 +76,6 @@ def accuracy(rows: Sequence[Row], right: str = "right") -> Accuracy | None:
     bits, hits = sum(row["bits"] for row in rows), sum(row[right] for row in rows)
     whole = sum(row[right] == row["bits"] for row in rows)
     return Accuracy(hits / bits, *share_interval(hits, bits), len(rows), whole, share_interval(whole, len(rows))[0])
-
-
-def share_text(found: Accuracy | None) -> str:
-    """The share of bits with its interval alone."""
-    return "" if found is None else f"{100 * found.share:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"
-
-
-def mean_text(values: Sequence[float], digits: int = 1) -> str:
-    """Mean with a bootstrap interval over the values; one value alone is said to be alone."""
-    if not values:
-        return ""
-    mean = sum(values) / len(values)
-    if len(values) == 1:
-        return f"{mean:.{digits}f} (one)"
-    low, high = bootstrap(values)
-    return f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
-
-
-def range_text(values: Sequence[float], digits: int = 0) -> str:
-    """Least and most."""
-    if not values:
-        return ""
-    low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
-    return low if low == high else f"{low} to {high}"
 
 
 def busy_words(rows: Sequence[Row]) -> list[str]:

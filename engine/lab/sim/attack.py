@@ -100,8 +100,7 @@ class Attack(Generic[T]):
 
         The strength is in the unit of the reading, its default where not given; of `rng`, or its seed, comes every
         random choice: the same seed gives the same result. The reading is the attack's first one where not given.
-        Options of single attacks: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
-        rotate_image.
+        Options of single attacks: `other` of merge_into, `cameras` of prune_low_impact.
 
         A picture that comes back lies in 0..1 and may have another size. InputError if the reading does not exist, the
         strength is out of its range, or the target is empty or unfit.

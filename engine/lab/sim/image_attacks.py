@@ -74,14 +74,11 @@ def motion_blur(image: Float32, strength: float, rng: np.random.Generator) -> Pi
 @ATTACKS.add(
     "rotate the picture on its canvas, black corners", "degrees", 30.0, (0.1, 0.5, 1, 3, 10, 20, 30, 45, 90, 180)
 )
-def rotate_image(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Picture:
-    """Rotation about the center by `strength` degrees counter-clockwise, bilinear, black where nothing was.
-
-    `expand` lets the canvas grow to hold the whole image; otherwise its corners are lost.
-    """
+def rotate_image(image: Float32, strength: float, rng: np.random.Generator) -> Picture:
+    """Rotation about the center by `strength` degrees counter-clockwise, bilinear, black where nothing was."""
     from skimage.transform import rotate
 
-    return np.asarray(rotate(image, strength, resize=expand, order=1, mode="constant", cval=0.0))
+    return np.asarray(rotate(image, strength, order=1, mode="constant", cval=0.0))
 
 
 @ATTACKS.add(
@@ -98,9 +95,9 @@ def mirror_image(image: Float32, strength: str, rng: np.random.Generator) -> Pic
 
 
 @ATTACKS.as_code("rotate_image", "largest angle, degrees", 30.0, (1, 10, 30, 90), "[0, inf)")
-def rotate_image_random(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Picture:
+def rotate_image_random(image: Float32, strength: float, rng: np.random.Generator) -> Picture:
     """Rotation by an angle uniform in +-`strength` degrees, as public code runs "rotation 30"."""
-    return rotate_image(image, float(rng.uniform(-strength, strength)), rng, expand=expand)
+    return rotate_image(image, float(rng.uniform(-strength, strength)), rng)
 
 
 @ATTACKS.add(

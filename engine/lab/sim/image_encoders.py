@@ -96,15 +96,6 @@ def h265(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
     return _film(image, f"-c:v libx265 -preset medium -crf {strength:g} -x265-params log-level=none:pools=1")
 
 
-@ATTACKS.add("one frame of an MPEG-4 film written by OpenCV", "generations", 1, (1, 2, 5), "1..20")
-def mpeg4(image: Float32, strength: int, rng: np.random.Generator) -> Float32:
-    """At OpenCV's own bit rate. For machines without the ffmpeg command: OpenCV's wheels bring an encoder along."""
-    frames = _pan(image)
-    for _ in range(strength):
-        frames = _rewritten(frames)
-    return values_of(frames[NEIGHBORS])
-
-
 def bytes_of(image: Float32) -> Uint8:
     """The image in 8 bits, as encoders take it."""
     return np.asarray(np.round(np.clip(image, 0.0, 1.0) * 255.0), dtype=np.uint8)
@@ -162,30 +153,6 @@ def _pan(image: Float32) -> list[Uint8]:
 def _padded(frame: Uint8) -> Uint8:
     """Even sides, as 4:2:0 needs."""
     return np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
-
-
-def _rewritten(frames: list[Uint8]) -> list[Uint8]:
-    """The frames through an MPEG-4 file written and read by OpenCV."""
-    import cv2
-
-    height, width = frames[0].shape[:2]
-    rows, columns = _padded(frames[0]).shape[:2]
-    with tempfile.TemporaryDirectory() as folder:
-        name = str(Path(folder) / "film.mp4")
-        writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"mp4v"), FPS, (columns, rows))
-        if not writer.isOpened():
-            raise InputError("this OpenCV was built without an MPEG-4 encoder")
-        for frame in frames:
-            writer.write(np.ascontiguousarray(_padded(frame)[..., ::-1]))
-        writer.release()
-        reader = cv2.VideoCapture(name)
-        decoded = []
-        while (read := reader.read())[0]:
-            decoded.append(np.ascontiguousarray(read[1][:height, :width, ::-1]))
-        reader.release()
-    if len(decoded) != len(frames):
-        raise InputError(f"OpenCV wrote {len(frames)} frames and read {len(decoded)} back")
-    return decoded
 
 
 def _film(image: Float32, encoder: str) -> Float32:

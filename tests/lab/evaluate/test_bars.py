@@ -12,7 +12,7 @@ from engine.lab.evaluate.null.null_rates import LOG10_THRESHOLDS, Rates
 from engine.lab.evaluate.perceptual import perceptual_study as perceptual
 from engine.lab.evaluate.steganalysis import steganalysis_study as steganalysis
 from engine.lab.evaluate.study import Bar, Options
-from engine.lab.evaluate.tables.sections import table2
+from engine.lab.evaluate.tables.parts import attack_bars
 
 
 def _null(claims: int, keys: int) -> Sequence[Bar]:
@@ -21,7 +21,7 @@ def _null(claims: int, keys: int) -> Sequence[Bar]:
 
 def _table2(on: str, attack: str, right: int) -> Sequence[Bar]:
     row = {"on": on, "reading": "literal", "attack": attack, "bits": 10_000, "right": right}
-    return table2.bars([row], Options(()))
+    return attack_bars([row], Options(()))
 
 
 def _cost(embed: float, verify_model: float, verify_picture: float) -> Sequence[Bar]:
@@ -31,8 +31,8 @@ def _cost(embed: float, verify_model: float, verify_picture: float) -> Sequence[
 
 
 def _learned(auc: float) -> Sequence[Bar]:
-    known = {"method": "ours", "form": "floats", "low": 0.0, "high": 1.0, "classifier": "svm"}
-    return steganalysis._learned_bars([{**known, "attacker": "stranger", "scene": "all", "auc": auc}])
+    known = {"form": "floats", "low": 0.0, "high": 1.0, "classifier": "svm", "scene": "plant"}
+    return steganalysis._learned_bars([{**known, "auc": auc}])
 
 
 def _fusion(auc: float) -> Sequence[Bar]:

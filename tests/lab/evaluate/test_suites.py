@@ -36,21 +36,21 @@ def test_every_suite_is_listed_and_no_other_is_found() -> None:
 
 
 def test_trials_count_what_the_suite_counts() -> None:
-    truth = find_study("truth")
-    assert truth.knows == {"profile", "trials"}
-    assert truth.cells(Options(SCENES))[0].arguments["keys"] == 100_000
-    assert truth.report([], Options(SCENES, trials=7)).summary == {"profile": "fast", "keys": 7}
+    foreign = find_study("foreign")
+    assert foreign.knows == {"profile", "trials"}
+    assert foreign.cells(Options(SCENES))[0].arguments["pictures"] == 200
+    assert foreign.report([], Options(SCENES, trials=7)).summary == {"profile": "fast", "pictures": 7}
 
 
 def test_scenes_stand_alone_together_or_beside_another() -> None:
-    assert [cell.arguments["scene"] for cell in cells_of("fidelity")] == list(SCENES)
-    assert [cell.arguments["scenes"] for cell in cells_of("truth")] == [list(SCENES)]
+    assert [cell.arguments["scene"] for cell in cells_of("budgets")] == list(SCENES)
+    assert [cell.arguments["scenes"] for cell in cells_of("screening")] == [list(SCENES)]
     assert [cell.arguments["other"] for cell in cells_of("screenshots")] == ["b/plant.splat", "a/plant.splat"]
     assert cells_of("screenshots", SCENES[:1])[0].arguments["other"] is None
 
 
 def test_the_report_of_a_measurement_is_its_rows() -> None:
     rows = [{"cell": "x", "z": 1.0, "stages": {"a": 1}}, {"cell": "y", "z": 2.0, "bits": 32}]
-    (section,) = find_study("fidelity").report(rows, Options(SCENES)).sections
+    (section,) = find_study("budgets").report(rows, Options(SCENES)).sections
     (table,) = section.tables
     assert (list(table.columns), table.rows) == (["cell", "z", "bits"], [["x", 1.0, ""], ["y", 2.0, 32]])

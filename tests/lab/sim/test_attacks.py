@@ -76,7 +76,6 @@ VIEW_NAMES = [
     "avif",
     "h264",
     "h265",
-    "mpeg4",
 ]
 IMAGE_NAMES = [
     *["jpeg", "noise_image", "blur", "rotate_image", "mirror_image", "scale_image", "crop_image", "brightness"],

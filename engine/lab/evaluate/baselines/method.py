@@ -36,10 +36,6 @@ class Method(ABC):
     stands_for: str  # which published class this is, and what of it is not
     informed: bool = False  # whether reading compares with the original
 
-    def missing(self) -> str:
-        """Why it cannot run here; empty when it can."""
-        return ""
-
     @abstractmethod
     def colors(self, model: GaussianModel, key: OwnerKey, message: Signs) -> tuple[Callable[[float], Float32], float]:
         """Strength -> marked SH (N, K, 3), whose error grows about linearly with it; and a first guess, > 0."""

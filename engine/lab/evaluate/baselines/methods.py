@@ -2,7 +2,7 @@
 
 from engine.lab.evaluate.baselines.method import Method
 from engine.lab.evaluate.baselines.model_marks import DitheredQim, FileOrderSpreadSpectrum
-from engine.lab.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
+from engine.lab.evaluate.baselines.picture_marks import FittedPictures
 
 __all__ = ["METHODS"]
 
@@ -22,12 +22,6 @@ METHODS: dict[str, Method] = {
         "DCT mark in renders, fitted",
         "the class HiDDeN+3DGS: a mark in every training picture, the model fitted to them. HiDDeN's weights cannot "
         "be had; a classic blind DCT mark stands in",
-        mark=DctSpreadSpectrum(),
-    ),
-    "rivagan": FittedPictures(
-        "RivaGAN in renders, fitted",
-        "the class HiDDeN+3DGS with a trained network: RivaGAN of invisible-watermark",
-        mark=RivaGan(),
     ),
 }
-"""By short name; the first two mark models at once, the others need half a minute and more."""
+"""By short name; the first two mark models at once, the last needs half a minute and more."""

@@ -1,24 +1,18 @@
 """Image mark, then fit: mark the renders of a model and fit its colours to them; read any render again.
 
 The recipe of HiDDeN+3DGS in the tables of the field. One fit gives a direction in the space of colours; its length is
-then set by the PSNR, so that all methods stand at the same fidelity. Both picture marks here are blind and read a
-picture alone: HiDDeN, which the field fits models to, has no public weights of 32 bits; a classic mark in the DCT of
-blocks stands in for its class, RivaGAN is a trained network of the same kind.
+then set by the PSNR, so that all methods stand at the same fidelity. The picture mark is blind and reads a picture
+alone: HiDDeN, which the field fits models to, has no public weights of 32 bits; a classic one stands in for its class,
+keyed signs on middle frequencies of 8x8 blocks of luma (Koch and Zhao 1995; Cox et al. 1997).
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.fft import dctn, idctn
 from skimage.util import view_as_blocks
 
-from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.baselines.method import Kept, Method
 from engine.lab.evaluate.baselines.model_marks import bit_scores
@@ -29,7 +23,7 @@ from engine.raster import render
 from engine.watermark.keys import OwnerKey, permutation, signs
 from engine.watermark.messages import Signs
 
-__all__ = ["DctSpreadSpectrum", "FittedPictures", "PictureMark", "RivaGan"]
+__all__ = ["FittedPictures", "decode", "encode"]
 
 BLOCK = 8
 TILE = 8
@@ -43,113 +37,35 @@ LIMIT = 2.0
 """Whitened coefficients saturate here: edges of the picture must not drown the rest."""
 
 
-class PictureMark(ABC):
-    """A blind mark in pictures (H, W, 3) in 0..1."""
-
-    def missing(self) -> str:
-        """Why it cannot run here; empty when it can."""
-        return ""
-
-    @abstractmethod
-    def encode(self, picture: Float32, key: OwnerKey, message: Signs) -> Float32:
-        """The picture with a message."""
-
-    @abstractmethod
-    def decode(self, picture: Float32, key: OwnerKey, bits: int) -> Float64:
-        """(bits,) scores whose signs are the bits."""
-
-
-class DctSpreadSpectrum(PictureMark):
-    """Keyed signs on middle frequencies of 8x8 blocks of luma (Koch and Zhao 1995; Cox et al. 1997)."""
-
-    def encode(self, picture: Float32, key: OwnerKey, message: Signs) -> Float32:
-        """See `PictureMark`; black, where a model shows nothing, stays black."""
-        chips, bit = _chips(key, len(message))
-        spectrum = np.zeros((TILE, TILE, BLOCK, BLOCK))
-        for k, (u, v) in enumerate(MIDDLE):
-            spectrum[..., u, v] = STRENGTH * chips[..., k] * message[bit[..., k]]
-        blocks = idctn(spectrum, axes=(2, 3), norm="ortho")  # (TILE, TILE, 8, 8)
-        tile = blocks.transpose(0, 2, 1, 3).reshape(TILE * BLOCK, TILE * BLOCK)
-        height, width = picture.shape[:2]
-        repeats = (-(-height // len(tile)), -(-width // len(tile)))
-        pattern = np.tile(tile, repeats)[:height, :width, None]
-        shows = picture.max(axis=2, keepdims=True) > 0.02
-        return np.clip(picture + np.where(shows, pattern, 0.0), 0.0, 1.0).astype(np.float32)
-
-    def decode(self, picture: Float32, key: OwnerKey, bits: int) -> Float64:
-        """See `PictureMark`."""
-        rows, columns = (side // BLOCK for side in picture.shape[:2])
-        if not rows or not columns:
-            return np.zeros(bits)
-        luma = picture[: rows * BLOCK, : columns * BLOCK].astype(np.float64) @ LUMA
-        spectrum = dctn(view_as_blocks(luma, (BLOCK, BLOCK)), axes=(2, 3), norm="ortho")
-        found = np.stack([spectrum[..., u, v] for u, v in MIDDLE], axis=-1)  # (rows, columns, 18)
-        white = found / np.maximum(np.sqrt((found**2).mean(axis=(0, 1))), 1e-9)
-        white = np.clip(white, -LIMIT, LIMIT)
-        chips, bit = _chips(key, bits)
-        place = np.ix_(np.arange(rows) % TILE, np.arange(columns) % TILE)
-        votes = (white * chips[place]).ravel()
-        return bit_scores(bit[place].ravel(), votes, votes**2, bits)
+def encode(picture: Float32, key: OwnerKey, message: Signs) -> Float32:
+    """A picture (H, W, 3) in 0..1 with a message; black, where a model shows nothing, stays black."""
+    chips, bit = _chips(key, len(message))
+    spectrum = np.zeros((TILE, TILE, BLOCK, BLOCK))
+    for k, (u, v) in enumerate(MIDDLE):
+        spectrum[..., u, v] = STRENGTH * chips[..., k] * message[bit[..., k]]
+    blocks = idctn(spectrum, axes=(2, 3), norm="ortho")  # (TILE, TILE, 8, 8)
+    tile = blocks.transpose(0, 2, 1, 3).reshape(TILE * BLOCK, TILE * BLOCK)
+    height, width = picture.shape[:2]
+    repeats = (-(-height // len(tile)), -(-width // len(tile)))
+    pattern = np.tile(tile, repeats)[:height, :width, None]
+    shows = picture.max(axis=2, keepdims=True) > 0.02
+    return np.clip(picture + np.where(shows, pattern, 0.0), 0.0, 1.0).astype(np.float32)
 
 
-class RivaGan(PictureMark):
-    """RivaGAN (Zhang et al. 2019) as the package invisible-watermark ships it: 32 bits, no key.
-
-    The package itself is not imported, since it pulls in another OpenCV: its two networks are run by onnxruntime.
-    """
-
-    bits = 32
-
-    def missing(self) -> str:
-        """Both packages must be there; they are no dependencies of ours."""
-        lacking = [
-            package
-            for module, package in (("imwatermark", "invisible-watermark"), ("onnxruntime", "onnxruntime"))
-            if find_spec(module) is None
-        ]
-        if not lacking:
-            return ""
-        return f"{' and '.join(lacking)} not installed (pip install --no-deps {' '.join(lacking)})"
-
-    def encode(self, picture: Float32, key: OwnerKey, message: Signs) -> Float32:
-        """See `PictureMark`."""
-        if len(message) != self.bits:
-            raise InputError(f"RivaGAN carries {self.bits} bits, got {len(message)}")
-        data = (message > 0).astype(np.float32)[None]
-        marked = self._encoder.run(None, {"frame": _frame(picture), "data": data})[0]
-        back = 0.5 * (np.clip(marked[0, :, 0].transpose(1, 2, 0), -1.0, 1.0) + 1.0)
-        return np.ascontiguousarray(back, dtype=np.float32)
-
-    def decode(self, picture: Float32, key: OwnerKey, bits: int) -> Float64:
-        """See `PictureMark`; the package's own threshold."""
-        found = self._decoder.run(None, {"frame": _frame(picture)})[0][0]
-        return np.asarray(found, dtype=np.float64) - 0.52
-
-    @cached_property
-    def _encoder(self) -> Any:
-        return _network("rivagan_encoder.onnx")
-
-    @cached_property
-    def _decoder(self) -> Any:
-        return _network("rivagan_decoder.onnx")
-
-
-def _network(name: str) -> Any:
-    import onnxruntime
-
-    found = find_spec("imwatermark")
-    if found is None or found.origin is None:
-        raise InputError("RivaGAN needs the package invisible-watermark")
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.intra_op_num_threads = 2
-    return onnxruntime.InferenceSession(str(Path(found.origin).parent / name), options)
-
-
-def _frame(picture: Float32) -> Float32:
-    """(1, 3, 1, H, W) in -1..1."""
-    scaled = 2.0 * np.clip(picture, 0.0, 1.0) - 1.0
-    return np.ascontiguousarray(scaled.transpose(2, 0, 1)[None, :, None], dtype=np.float32)
+def decode(picture: Float32, key: OwnerKey, bits: int) -> Float64:
+    """(bits,) scores of a picture (H, W, 3) whose signs are the bits."""
+    rows, columns = (side // BLOCK for side in picture.shape[:2])
+    if not rows or not columns:
+        return np.zeros(bits)
+    luma = picture[: rows * BLOCK, : columns * BLOCK].astype(np.float64) @ LUMA
+    spectrum = dctn(view_as_blocks(luma, (BLOCK, BLOCK)), axes=(2, 3), norm="ortho")
+    found = np.stack([spectrum[..., u, v] for u, v in MIDDLE], axis=-1)  # (rows, columns, 18)
+    white = found / np.maximum(np.sqrt((found**2).mean(axis=(0, 1))), 1e-9)
+    white = np.clip(white, -LIMIT, LIMIT)
+    chips, bit = _chips(key, bits)
+    place = np.ix_(np.arange(rows) % TILE, np.arange(columns) % TILE)
+    votes = (white * chips[place]).ravel()
+    return bit_scores(bit[place].ravel(), votes, votes**2, bits)
 
 
 def _chips(key: OwnerKey, bits: int) -> tuple[Float64, Int64]:
@@ -165,15 +81,10 @@ def _chips(key: OwnerKey, bits: int) -> tuple[Float64, Int64]:
 class FittedPictures(Method):
     """A picture mark in every training view, and a model whose colours were fitted to them."""
 
-    mark: PictureMark
     views: int = 12  # training views, a regular rig about the original
     size: int = 512  # pixels a side
     epochs: int = 20  # rounds of the fit over all views
     read_views: int = 4  # of the training views, how many a model is read at; their scores are summed
-
-    def missing(self) -> str:
-        """What the picture mark lacks."""
-        return self.mark.missing()
 
     def cameras(self, original: GaussianModel) -> list[Camera]:
         """The training views: where a picture is read best."""
@@ -182,7 +93,7 @@ class FittedPictures(Method):
     def colors(self, model: GaussianModel, key: OwnerKey, message: Signs) -> tuple[Callable[[float], Float32], float]:
         """See `Method`; the strength is a factor on the fitted change of colours."""
         training = self.cameras(model)
-        pictures = [self.mark.encode(np.clip(render(model, camera), 0.0, 1.0), key, message) for camera in training]
+        pictures = [encode(np.clip(render(model, camera), 0.0, 1.0), key, message) for camera in training]
         change = fine_tune(model, training, pictures, self.epochs, trained="colors").sh - model.sh
 
         return (lambda factor: np.asarray(model.sh + np.float32(factor) * change)), 1.0
@@ -194,4 +105,4 @@ class FittedPictures(Method):
 
     def read_picture(self, picture: Float32, kept: Kept) -> Float64:
         """See `Method`."""
-        return self.mark.decode(picture, kept.key, kept.bits)
+        return decode(picture, kept.key, kept.bits)

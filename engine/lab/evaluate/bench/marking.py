@@ -1,4 +1,4 @@
-"""What marks cost: message lengths, outputs, budgets; and the paper's Table 4 on variants made from a 3DGS scene.
+"""What marks cost: budgets, the profile `auto`; and the paper's Table 4 on variants made from a 3DGS scene.
 
 No file of these variants is at hand, so each is made: discs by flattening and refitting, a moving scene by swaying and
 fitting Spacetime Gaussians, a codebook model by clustering, a generated one by training on few pictures.
@@ -14,12 +14,10 @@ from statistics import fmean
 import numpy as np
 
 from engine.compress.pruning import PruneConfig
-from engine.errors import CapacityError
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import AUTO, EmbedConfig, compose
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.records.opened_record import open_record
-from engine.flows.verify.search import VerifyConfig, verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
@@ -28,7 +26,7 @@ from engine.lab.evaluate.study import Row
 from engine.lab.sim.suite import Trial
 from engine.lab.sim.variants.variant_table import VariantRow
 from engine.model import GaussianModel
-from engine.numerics.image_metrics import psnr, ssim
+from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
@@ -41,7 +39,6 @@ CODEBOOK_BUDGET_DB = 35.0
 
 UNSEEN, UNSEEN_SIDE = 12, 800
 """Views without the key, and their pixels a side."""
-LENGTHS = (16, 32, 48, 64, 128, 256)
 BUDGETS_DB = (45.0, 40.0, 37.5, 35.0)
 PICTURES = 3
 """Of the unseen views, kept as JPEG 10 and read."""
@@ -53,31 +50,7 @@ FIELDS = (
     "psnr_total_worst_view",
     "psnr_pruned_worst_view",
     "predicted_z_viewer",
-    "capacity_bits",
 )
-
-
-def measure_fidelity(scene: str, seed: int, profile: str) -> list[Row]:
-    """One row for each message length, and for "compact"; bits read from the model, the mark's look also in views that
-    the key does not know."""
-    plain = named_profile(profile, landmark_views=0)
-    cases = [(f"{bits} bits", bits, plain) for bits in LENGTHS]
-    cases.append(("compact", 32, replace(plain, output="compact")))
-    rows = []
-    for name, bits, config in cases:
-        row: Row = {"scene": Path(scene).name, "case": name}
-        try:
-            made = mark_scene(scene, config, bits=bits, seed=seed)
-        except CapacityError as refusal:
-            rows.append({**row, "refused": str(refusal), "capacity_bits": refusal.capacity})
-            continue
-        claim = verify_model(made.marked, made.opened, VerifyConfig(route="model")).claim
-        row |= {field: made.report[field] for field in FIELDS if field in made.report}
-        row |= {"bit_accuracy": claim.bit_accuracy, "z": claim.z, **_unseen(made, seed)}
-        if name == "compact":
-            row["sog_bytes_per_gaussian"] = len(encode_model(made.marked, "sog")) / len(made.marked)
-        rows.append(row)
-    return rows
 
 
 def measure_budgets(scene: str, seed: int, profile: str) -> list[Row]:
@@ -126,15 +99,6 @@ def measure_promises(scene: str, seed: int) -> list[Row]:
             row["of_promise"] = fmean(z) / choice.predicted_z
         rows.append(row)
     return rows
-
-
-def _unseen(made: MarkedScene, seed: int) -> Row:
-    """PSNR and SSIM of the mark, worst of views as the key views are, drawn without the key."""
-    looks = []
-    for camera in other_views(made.opened.reference, UNSEEN, UNSEEN_SIDE, (seed, 0x5EE)):
-        before, after = render(made.opened.reference, camera), render(made.marked, camera)
-        looks.append((psnr(before, after), ssim(before, after)))
-    return {"psnr_worst_unseen": min(look[0] for look in looks), "ssim_worst_unseen": min(look[1] for look in looks)}
 
 
 def measure_variants(scene: str, setting: str, seed: int) -> list[Row]:

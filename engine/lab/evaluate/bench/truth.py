@@ -1,4 +1,4 @@
-"""Truth: wrong keys, forged originals, and innocents among colluding buyers.
+"""Truth: forged originals, and innocents among colluding buyers.
 
 Extraction is informed: every suspect is read against the owner's records.
 """
@@ -19,11 +19,10 @@ from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.flows.trace.copies import Copies
 from engine.flows.trace.tracing import count_copy_tries, judge_copy
-from engine.flows.verify.search import Answer, Suspect, VerifyConfig, count_tries, verify_images, verify_model
+from engine.flows.verify.search import Answer, Suspect, VerifyConfig, count_tries, verify_model
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.evaluate.bench.attacks import BITS, claim_row, to_8_bit
-from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies, mark_scene
-from engine.lab.evaluate.null.null_rates import wrong_key_z
+from engine.lab.evaluate.bench.attacks import BITS, claim_row
+from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_copies
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.adversaries.collusion import RULES, in_order_of
 from engine.lab.sim.adversaries.laundering import shake
@@ -36,51 +35,14 @@ from engine.raster import render
 from engine.records.header import chip_context
 from engine.watermark.keys import CHIPS, COPY, OwnerKey, signs
 from engine.watermark.rates import MADE_FIRST
-from engine.watermark.statistics import log10_false_claim_bound, z_threshold
+from engine.watermark.statistics import z_threshold
 
-THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 COLLUDERS = (2, 3, 5, 10)
 FORMS = ("ply", "splat", "spz", "sog", "compressed.ply")  # in which the buyers get their copies
 PUSHES = (5.5, 10.0, 16.0)  # steps, see the attack `push`
 SHAKES = (1.0, 2.0, 4.0)  # sizes, see `shake`
 VIEWS, SIDE = 4, 640  # in which a result is compared with the original
 BUYER, INNOCENT = "buyer", "innocent"
-
-
-def measure_truth(scenes: Sequence[str], seed: int, profile: str, keys: int) -> list[Row]:
-    """Wrong keys on every scene; the study `null` has other suspects."""
-    marked = [mark_scene(path, named_profile(profile), seed=seed) for path in scenes]
-    return [row for scene in marked for row in wrong_key_rates(scene, keys, seed)]
-
-
-def wrong_key_rates(scene: MarkedScene, count: int, seed: int = 0) -> list[Row]:
-    """Random chips against the true reference, on evidence of the model and of one picture.
-
-    The suspect carries a real mark, the reference is the real one; only the chips are another key's. `measured` is
-    the share of keys whose own stated bound is at or below each threshold.
-    """
-    rng = np.random.default_rng(seed)
-    camera = scene.opened.cameras[0]
-    picture = to_8_bit(render(scene.marked, camera))
-    evidences = {
-        "model": verify_model(scene.marked, scene.opened, VerifyConfig(route="model")).evidence,
-        "image": verify_images([picture], scene.opened, cameras=[camera]).evidence,
-    }
-    rows = []
-    for route, evidence in evidences.items():
-        z = wrong_key_z(evidence.y, evidence.weights, rng.bytes(32), count)
-        bounds = np.array([log10_false_claim_bound(float(value)) for value in z])
-        rows.append(
-            {
-                "scene": scene.name,
-                "route": route,
-                "keys": count,
-                "largest_z": float(z.max()),
-                "claims_at_1e-9": int((bounds <= -9).sum()),
-                "measured": {f"{t:g}": float((bounds <= np.log10(t)).mean()) for t in THRESHOLDS},
-            }
-        )
-    return rows
 
 
 def forge(scene: MarkedScene, config: EmbedConfig) -> Row:

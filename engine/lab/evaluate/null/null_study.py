@@ -5,32 +5,22 @@ bad pictures, a detector that must fail, and forged originals: about 10 minutes 
 cores. Quick: the same with 100,000 keys, few trials, small views.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
-from engine.lab.evaluate.figures import FAINT, INK, Figure, figure, label_line, spread_curve, styles
 from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.null import null_cells
 from engine.lab.evaluate.null.null_rates import CLAIM, LOG10_THRESHOLDS, Rates, add_up, exceeding, share_claimed
-from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
+from engine.lab.evaluate.study import Bar, Cell, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import distinct, grouped, listed, picked, table
-from engine.watermark.statistics import z_threshold
 
-__all__ = ["STUDY", "draw_false_claims", "draw_power", "draw_roc"]
+__all__ = ["STUDY"]
 
 SHARES = (0.1, 0.03, 0.01, 0.003, 0.001, 0.0005, 0.00025)
 PICTURES = (1, 2, 4, 8, 16)
 WANTED_KEYS = 1_000_000
-GROUPS = {
-    "found": "suspects as found",
-    "crafted": "suspects made to deceive",
-    "copies": "other recipients, real keys",
-    "other scene": "other scenes",
-}
 
 
 def cells(options: Options) -> list[Cell]:
@@ -71,7 +61,7 @@ def report(rows: list[Row], options: Options) -> Report:
     measured = zip(LOG10_THRESHOLDS, rates.shares, strict=True)
     return Report(
         [*_null_bars(tried, forged, rates), _counter_bar(wrong)],
-        [_null_section(tried, wrong, forged), _power_section(power)],
+        [_null_section(tried, forged), _power_section(power)],
         answer=[answer],
         summary={
             "wrong_keys": rates.keys,
@@ -115,13 +105,7 @@ def _counter_bar(wrong: Sequence[Row]) -> Bar:
     )
 
 
-def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[Row]) -> Section:
-    groups = [add_up(own, name) for group, name in GROUPS.items() if (own := picked(tried, group=group))]
-    title = f"{sum(group.keys for group in groups):,} wrong keys: no claim, and always below the bound"
-    if any(group.hits[-1] for group in groups):
-        title = "Wrong keys claim: the bound is broken"
-    elif any(exceeding(group) for group in groups):
-        title = "Measured false claims lie above the bound"
+def _null_section(tried: Sequence[Row], forged: Sequence[Row]) -> Section:
     text = (
         "Each key draws chips of its own for the true reference and the very same evidence. For such keys the theorem "
         "allows at most exp(-z²/2), whatever the suspect is; real evidence of thousands of chips comes close to the "
@@ -153,18 +137,12 @@ def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[R
         ),
         title="Largest z first",
     )
-    drawing = Drawing(
-        "false-claims",
-        partial(draw_false_claims, groups, add_up(wrong, "wrong detector"), title),
-        "Share of wrong keys that reach each stated bound. Where nothing is drawn, no key reached it.",
-    )
-    return Section("False claims", [text], [shown], [drawing])
+    return Section("False claims", [text], [shown])
 
 
 def _power_section(power: Sequence[Row]) -> Section:
     gaussians, pictures = picked(power, kind="gaussians"), picked(power, kind="pictures")
     lines: list[Row] = []
-    roc: dict[str, list[Row]] = {}
     for (scene, kind, amount), own in grouped([*gaussians, *pictures], "scene", "kind", "amount").items():
         z = [row["z"] for row in own]
         hits = round(share_claimed(z, CLAIM) * len(z))
@@ -183,32 +161,13 @@ def _power_section(power: Sequence[Row]) -> Section:
                 "wrong keys at 1e-3, measured": f"{false / max(sum(row.get('wrong', 0) for row in own), 1):.2g}",
             }
         )
-        roc.setdefault(f"{amount:,} {kind if amount > 1 else kind[:-1]}", []).extend(own)
     text = (
+        f"A claim needs {_enough(gaussians, 'Gaussians')}, or {_enough(pictures, 'bad pictures')}. "
         "Gaussians are those left after random pruning, unmoved. Trials of one number of pictures share pictures, so "
         "that their interval is a little too narrow. Pictures are of 128 pixels with noise of 0.2: one that a person "
         "would throw away."
     )
-    title = f"A claim needs {_enough(gaussians, 'Gaussians')}, or {_enough(pictures, 'bad pictures')}"
-    drawings = [
-        Drawing(
-            "power",
-            partial(draw_power, gaussians, pictures, title),
-            "Share of marked suspects claimed at 1e-9 against the amount of evidence.",
-        ),
-        Drawing(
-            "roc",
-            partial(draw_roc, _telling(roc), "ROC: right claims against the bound of a false one"),
-            "ROC for evidence that is just enough and not enough.",
-        ),
-    ]
-    return Section("Power", [text], [listed(lines)], drawings)
-
-
-def _telling(roc: dict[str, list[Row]], most: int = 6) -> dict[str, list[Row]]:
-    """The conditions nearest to the edge, where a ROC has something to show."""
-    near = sorted(roc, key=lambda name: abs(float(np.mean([row["z"] for row in roc[name]])) - 6.0))
-    return {name: roc[name] for name in roc if name in near[:most]}
+    return Section("Power", [text], [listed(lines)])
 
 
 def _enough(rows: Sequence[Row], what: str) -> str:
@@ -228,64 +187,3 @@ STUDY = Study(
     cells,
     report,
 )
-
-
-LEAST_SHARE = 1e-8
-
-
-def draw_false_claims(groups: Sequence[Rates], wrong: Rates, title: str) -> Figure:
-    """Measured share of claims against the stated bound, log-log; the mistaken detector far above."""
-    drawn, axes = figure(height=4.6)
-    bounds = 10.0 ** np.array(LOG10_THRESHOLDS)
-    tail = norm.sf([z_threshold(bound) for bound in bounds])
-    axes.plot(bounds, bounds, color=INK, linewidth=1.2, label="the bound, exp(-z²/2)")
-    axes.plot(bounds, tail, color=FAINT, linewidth=1.2, linestyle=(0, (1, 1)), label="normal tail")
-    for style, rates in zip(styles(), groups, strict=False):
-        seen = rates.shares > 0
-        style |= {"linestyle": "none", "label": f"{rates.name}: {rates.keys:,} keys"}
-        low, high = np.maximum(rates.intervals[seen], LEAST_SHARE).reshape(-1, 2).T
-        spread_curve(axes, bounds[seen], rates.shares[seen], low, high, **style)
-    if wrong.keys:
-        label = f"a mistaken detector: {wrong.keys:,} keys"
-        axes.plot(bounds, wrong.shares, color=INK, marker="x", linestyle="-.", linewidth=1.0, label=label)
-    axes.set(xscale="log", yscale="log", xlim=(1.0, 1e-9), ylim=(LEAST_SHARE, 3.0), title=title)
-    axes.set(xlabel="stated bound of a false claim", ylabel="measured share of wrong keys, 95 % intervals")
-    axes.legend(loc="lower left", fontsize=7.0)
-    return drawn
-
-
-def draw_roc(groups: Mapping[str, Sequence[Row]], title: str) -> Figure:
-    """Share of right claims against the stated bound of a false one, for thin and thinner evidence."""
-    drawn, axes = figure(height=4.0)
-    log10 = np.linspace(-12.0, -0.02, 200)
-    for style, (name, rows) in zip(styles(), groups.items(), strict=False):
-        shares = [share_claimed([row["z"] for row in rows], float(value)) for value in log10]
-        axes.plot(10.0**log10, shares, label=name, markevery=20, **style)
-    axes.plot(10.0**log10, 10.0**log10, color=FAINT, linewidth=1.0, linestyle=(0, (1, 1)), label="chance")
-    axes.set(xscale="log", xlim=(1e-12, 1.0), title=title, ylabel="share of marked suspects claimed")
-    axes.set(xlabel="bound of a false claim (proven; the measured rate lies below)")
-    label_line(axes, 1e-9, "", along="y")
-    axes.text(1.3e-9, 0.03, "a claim", fontsize=7.5, color="#6a6a6a")
-    axes.legend(fontsize=7.0, loc="best")
-    return drawn
-
-
-def draw_power(gaussians: Sequence[Row], pictures: Sequence[Row], title: str) -> Figure:
-    """Share of claims at 1e-9 against the amount of evidence."""
-    drawn, axes = figure(1, 2, width=8.4, height=3.6, sharey=True, title=title)
-    labels = ("Gaussians left of the model", "small noisy pictures together")
-    for axis, rows, label in zip(axes, (gaussians, pictures), labels, strict=True):
-        ticks: list[int] = []
-        for style, (scene, own) in zip(styles(), grouped(rows, "scene").items(), strict=False):
-            amounts = sorted(distinct(own, "amount"))
-            z = [[row["z"] for row in picked(own, amount=amount)] for amount in amounts]
-            shares = [share_claimed(values, CLAIM) for values in z]
-            spread = [share_interval(round(s * len(v)), len(v)) for s, v in zip(shares, z, strict=True)]
-            spread_curve(axis, amounts, shares, *np.array(spread).T, label=scene, **style)
-            ticks = ticks or amounts
-        axis.set(xscale="log", xlabel=label, ylim=(-0.03, 1.03))
-        axis.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
-        axis.minorticks_off()
-    axes[0].set_ylabel("share claimed at 1e-9, 95 %")
-    axes[0].legend(fontsize=7.0)
-    return drawn

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.lab.evaluate.figures import FAINT, Figure, figure, styles
+from engine.lab.evaluate.figures import Figure, figure
 from engine.lab.evaluate.intervals import bootstrap
 from engine.lab.evaluate.perceptual.perceptual_cells import COMPARED_QUALITIES, look_at_mark
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
@@ -44,7 +44,7 @@ def report(rows: list[Row], options: Options) -> Report:
     """Bars on the worst key view, tables of all metrics, the worst views as pictures."""
     key, free, pictures = (picked(rows, kind=kind) for kind in ("key", "free", "picture"))
     finding = _finding(free)
-    drawings = [Drawing("views", partial(draw_views, free, finding), "Every view outside the pose key.")]
+    drawings = []
     for number, path in enumerate(options.scenes):
         name = Path(path).name
         own = [row for row in pictures if row["cell"].startswith(f"{number}-")]
@@ -157,23 +157,6 @@ def _picture(text: str) -> Any:
     from PIL import Image
 
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB"))
-
-
-def draw_views(free: Sequence[Row], title: str) -> Figure:
-    """FLIP over PSNR, one marker per view; and of plain JPEGs of the same views."""
-    drawn, axes = figure()
-
-    def points(rows: Sequence[Row], prefix: str, **style: Any) -> None:
-        axes.plot([r[f"{prefix}psnr"] for r in rows], [r[f"{prefix}flip"] for r in rows], **style | {"linestyle": ""})
-
-    for quality, marker in zip(COMPARED_QUALITIES, "x+", strict=True):
-        points(free, f"jpeg{quality}_", marker=marker, color=FAINT, label=f"no mark, JPEG {quality}")
-    for style, (name, own) in zip(styles(), grouped(free, "profile").items(), strict=False):
-        points(own, "", label=f"marked, {name}", markerfacecolor="none", **style)
-    axes.set(xlabel="PSNR against the unmarked render (dB)", ylabel="mean FLIP (0 = not seen)", ylim=(0, None))
-    axes.set_title(title)
-    axes.legend()
-    return drawn
 
 
 STUDY = Study(

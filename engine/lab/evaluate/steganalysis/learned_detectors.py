@@ -5,12 +5,11 @@ in patches and along few directions; and it may break the lattice of values that
 both: how a Gaussian's colour stands to its neighbours' at three sizes, how values are distributed, and how often
 exactly the same value occurs.
 
-Two attackers. The *stranger* has marked and unmarked models of other scenes. The *insider* is as strong as one can be
-without the very original: of this scene itself he has the unmarked and several marked copies under other keys, but not
-the regions that he is tested on.
+The attacker is an insider, as strong as one can be without the very original: of this scene itself he has the unmarked
+and several marked copies under other keys, but not the regions that he is tested on.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,27 +17,23 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from engine.errors import InputError
 from engine.extras import load_extra
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
-from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.intervals import area, area_interval
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import model_attack
 from engine.model import SH_C0, Float64, GaussianModel, Int64
 from engine.watermark.keys import OwnerKey
-from engine.watermark.messages import derive_message
 
-__all__ = ["FORMS", "Regions", "detect_as_insider", "detect_as_stranger", "divide", "float_born", "measure_regions"]
+__all__ = ["FORMS", "Regions", "detect_as_insider", "divide", "float_born", "measure_regions"]
 
 BITS = 32
-FORMS = ("floats", "own format", "lattice lost")
+FORMS = ("floats", "own format")
 """How the model reaches the detector. `floats`: trained, marked and delivered in floating point. `own format`: a file
-of few values, marked, delivered in that format again. `lattice lost`: such a file, marked, delivered in floats."""
+of few values, marked, delivered in that format again."""
 REGION = 512
 """About so many Gaussians a region."""
 NEAR, FAR = 8, 48
@@ -52,58 +47,33 @@ OPPONENT = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.5, 0.5, -1.0]]) / np.
 """Lightness and two colour differences."""
 
 
-def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: int, method: str = "ours") -> list[Row]:
+def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: int) -> list[Row]:
     """Trained on one half of a scene's regions under `keys` keys, tested on the other half under others; both ways.
 
-    The mark is "ours" or of a runnable baseline that marks models, at the profile's PSNR. One row a classifier:
-    ``auc``, ``low``, ``high``, ``shift``, ``regions``.
+    One row a classifier: ``auc``, ``low``, ``high``, ``shift``, ``regions``.
     """
-    features = _copies(path, profile_name, form, 2 * keys, seed, method)  # (1 + 2 keys, R, F)
+    features = _copies(path, profile_name, form, 2 * keys, seed)  # (1 + 2 keys, R, F)
     regions = features.shape[1]
     half = np.random.default_rng((seed, 3)).permutation(regions) < regions // 2
     rows = []
     for name, classifier in _classifiers(seed).items():
         score = np.empty(features.shape[:2])
         for held_out in (half, ~half):
-            _fit(classifier, [features[: 1 + keys, ~held_out]])
+            _fit(classifier, features[: 1 + keys, ~held_out])
             score[:, held_out] = [_score(classifier, copy[held_out]) for copy in features]
         tested = np.concatenate([score[:1], score[1 + keys :]])
-        about = {"scene": Path(path).name, "method": method, "attacker": "insider", "form": form}
-        rows.append({**about, "classifier": name, **_judged([tested])})
+        rows.append({"scene": Path(path).name, "form": form, "classifier": name, **_judged(tested)})
     return rows
 
 
-def detect_as_stranger(paths: Sequence[str], profile_name: str, form: str, keys: int, seed: int) -> list[Row]:
-    """Trained on all scenes but one, tested on that one, for each; fresh `keys` everywhere.
-
-    Rows as of `detect_as_insider`, one a scene and classifier, and one of all scenes together.
-    """
-    if len(paths) < 2:
-        raise InputError(f"a stranger learns from other scenes: at least 2 are needed, got {len(paths)}")
-    features = [_copies(path, profile_name, form, keys, seed + 100 * n) for n, path in enumerate(paths)]
-    rows = []
-    for name, classifier in _classifiers(seed).items():
-        scores = []
-        for held_out, path in enumerate(paths):
-            _fit(classifier, [f for n, f in enumerate(features) if n != held_out])
-            scores.append(np.stack([_score(classifier, copy) for copy in features[held_out]]))
-            about = {"method": "ours", "attacker": "stranger", "form": form, "classifier": name}
-            rows.append({"scene": Path(path).name, **about, **_judged(scores[-1:])})
-        rows.append({"scene": "all", **about, **_judged(scores)})
-    return rows
-
-
-def _copies(path: str, profile_name: str, form: str, keys: int, seed: int, method: str = "ours") -> Float64:
+def _copies(path: str, profile_name: str, form: str, keys: int, seed: int) -> Float64:
     """(1 + keys, R, F) features of the unmarked model and of copies under different keys."""
     loaded, config = read_model(path), profile(profile_name, landmark_views=0)
     base = float_born(loaded.model, np.random.default_rng((seed, 4))) if form == "floats" else loaded.model
-    regions, cameras = divide(base), make_rig(base, config.views, config.view_size, config.view_size)
+    regions = divide(base)
 
     def marked(key: OwnerKey) -> GaussianModel:
-        if method == "ours":
-            return embed(base, key, original_sha256=loaded.sha256, bits=BITS, config=config).model
-        message = derive_message(key, BITS, loaded.sha256.encode())
-        return METHODS[method].embed(base, key, message, config.psnr_db, cameras)[0]
+        return embed(base, key, original_sha256=loaded.sha256, bits=BITS, config=config).model
 
     def features(model: GaussianModel) -> Float64:
         if form == "own format":
@@ -140,10 +110,9 @@ def _classifiers(seed: int) -> Mapping[str, Any]:
     }
 
 
-def _fit(classifier: Any, known: Sequence[Float64]) -> None:
-    """Anew, on scenes' features (1 + keys, R, F), the unmarked model first."""
-    unmarked = np.concatenate([features[0] for features in known])
-    marked = np.concatenate([features[1:].reshape(-1, features.shape[2]) for features in known])
+def _fit(classifier: Any, features: Float64) -> None:
+    """Anew, on features (1 + keys, R, F), the unmarked model first."""
+    unmarked, marked = features[0], features[1:].reshape(-1, features.shape[2])
     classifier.fit(np.concatenate([unmarked, marked]), np.repeat([0, 1], [len(unmarked), len(marked)]))
 
 
@@ -151,13 +120,13 @@ def _score(classifier: Any, features: Float64) -> Float64:
     return np.asarray(classifier.predict_proba(features)[:, 1])
 
 
-def _judged(scores: Sequence[Float64]) -> dict[str, float]:
-    """AUC of regions (scenes' scores are (1 + keys, R), the unmarked model first), resampled by region.
+def _judged(score: Float64) -> dict[str, float]:
+    """AUC of regions by their scores (1 + keys, R), the unmarked model first, resampled by region.
 
     ``shift`` is the mean difference of marked and unmarked scores in standard deviations of the unmarked ones: what
     averaging over many regions could add up.
     """
-    places = [(score[:1, r], score[1:, r]) for score in scores for r in range(score.shape[1])]
+    places = [(score[:1, r], score[1:, r]) for r in range(score.shape[1])]
     negative = np.concatenate([a for a, _ in places])
     positive = np.concatenate([b for _, b in places])
     low, high = area_interval(places)

@@ -1,16 +1,14 @@
-"""The same measurements under the paper's own system: cells whose rows no other part takes for ours."""
+"""The paper's own system, run: the same measurements under it, in cells whose rows no other part takes for ours."""
 
 import importlib
 from dataclasses import asdict
 from typing import Any
 
-from engine.lab.evaluate.study import Cell, Options, Row
-from engine.lab.evaluate.tables.part import MEASURING, PROFILE, Setting, changes_of, efforts, scenes_of
-from engine.lab.evaluate.tables.sections.fig7 import GAMMAS
-from engine.lab.evaluate.tables.sections.table2 import COLUMNS, QUICK
-from engine.lab.evaluate.tables.sections.table5 import SETTINGS as TRAININGS
-from engine.lab.evaluate.tables.sections.table5 import training
-from engine.lab.evaluate.tables.sections.table6 import LOSSES
+from engine.lab.evaluate.study import Bar, Cell, Options, Row
+from engine.lab.evaluate.summary import accuracy
+from engine.lab.evaluate.tables.part import MEASURING, PROFILE, Part, Setting, changes_of, efforts, scenes_of
+from engine.lab.evaluate.tables.parts import COLUMNS, LOSSES, QUICK_COLUMNS, training, weights_of
+from engine.lab.evaluate.tables.parts import SETTINGS as TRAININGS
 
 STEPS, QUICK_STEPS = 100, 2
 """Adam steps of a marking; the paper has 10,000, and what they change is measured by itself."""
@@ -18,6 +16,7 @@ MANY_STEPS = (0, 100, 1_000, 10_000)
 STEPPED = ("paper", PROFILE)
 """Profiles under which that is measured: the paper's and ours."""
 LENGTHS = (16, 32, 48)
+GAMMAS = (0.0, 0.1, 0.2, 0.3, 0.5)
 ZETAS = (28.52, 37.0, 47.0)
 """PSNR of the mark, dB, in place of the paper's zeta: that of its own table, and two fainter ones."""
 
@@ -42,10 +41,9 @@ def settings(options: Options) -> dict[tuple[str, str], Setting]:
     if quick:
         return {key: setting for key, setting in made.items() if key[1] == "32"}
     made["table1", "32, appendix"] = paper("appendix", quick=quick, profile="paper-appendix")
-    for loss, weights in LOSSES.items():
+    for loss in LOSSES:
         if loss != "loss-appendix":
-            refine = dict(zip(("lambda_msg", "lambda_rec", "lambda_wavelet"), weights, strict=True))
-            made["table6", loss] = paper(loss, quick=quick, refine=refine)
+            made["table6", loss] = paper(loss, quick=quick, refine=weights_of(loss))
     for gamma in GAMMAS:
         made["fig7", f"gamma {gamma:g}"] = paper(f"gamma-{gamma:g}", quick=quick, prune={"gamma": gamma})
     for db in ZETAS:
@@ -56,7 +54,7 @@ def settings(options: Options) -> dict[tuple[str, str], Setting]:
 def cells(options: Options) -> list[Cell]:
     """Tables 1, 2, 3, 5 and 6 and figure 7; and on the main scene, what more steps change."""
     effort, _ = efforts(options)
-    changes, columns = changes_of(options), list(QUICK if options.quick else COLUMNS)
+    changes, columns = changes_of(options), list(QUICK_COLUMNS if options.quick else COLUMNS)
     usual = asdict(paper("paper", quick=options.quick))
     made = []
     for short, path in scenes_of(options):
@@ -98,3 +96,15 @@ def rows_as_paper(rows: list[Row], part: str, name: str | None = None) -> list[R
     """The rows of a table or figure under the paper's system, unwrapped, each with its ``name``."""
     wrapped = [row for row in rows if row.get("as_paper") == part and name in (None, row["name"])]
     return [{**row["row"], "name": row["name"]} for row in wrapped]
+
+
+def bars(rows: list[Row], options: Options) -> list[Bar]:
+    """Its own decoder reads every bit of the model that its own settings marked."""
+    read = [row for row in rows_as_paper(rows, "table1") if row["kind"] == "marked"]
+    found = accuracy(read, "right_by_eq10")
+    if found is None:
+        return []
+    return [Bar("the paper's system, model, bits by Eq 10", "100 %", str(found), found.share == 1.0)]
+
+
+PART = Part("paper", ("Figure 7", "Steps"), cells, bars)

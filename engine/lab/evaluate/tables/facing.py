@@ -11,12 +11,9 @@ from statistics import fmean
 
 from engine.lab.evaluate.study import Options, Row
 from engine.lab.evaluate.summary import accuracy, picked
-from engine.lab.evaluate.tables.as_paper import LENGTHS, MANY_STEPS, STEPPED, STEPS, ZETAS, rows_as_paper
+from engine.lab.evaluate.tables.as_paper import GAMMAS, LENGTHS, MANY_STEPS, STEPPED, STEPS, ZETAS, rows_as_paper
 from engine.lab.evaluate.tables.part import printed, rows_of_setting
-from engine.lab.evaluate.tables.sections.fig7 import GAMMAS, share_pruned
-from engine.lab.evaluate.tables.sections.table2 import COLUMNS
-from engine.lab.evaluate.tables.sections.table5 import SETTINGS
-from engine.lab.evaluate.tables.sections.table6 import PAPER as LOSSES_BY_NAME
+from engine.lab.evaluate.tables.parts import COLUMNS, PRINTED_LOSSES, SETTINGS
 from engine.lab.evaluate.tables.stopping import TAUS
 
 MODEL_ATTACKS = ("clone", "prune")
@@ -145,7 +142,7 @@ def _percent(value: float | None) -> float | None:
 
 def _table6(rows: list[Row]) -> Iterator[Line]:
     paper = {row["losses"]: row["bit_accuracy"] for row in printed("table6")}
-    for setting, losses in LOSSES_BY_NAME.items():
+    for setting, losses in PRINTED_LOSSES.items():
         theirs = _kinds(rows_as_paper(rows, "table6", setting))
         read = (_bits(theirs["marked"], "right_by_eq10"), _bits(rows_of_setting(rows, setting)["marked"]))
         better = None if losses == "none" else True
@@ -175,7 +172,8 @@ def _plain(value: float | None) -> str:
 def _figure7(rows: list[Row]) -> Iterator[Line]:
     for gamma in GAMMAS:
         seen = _kinds(rows_as_paper(rows, "fig7", f"gamma {gamma:g}"))
-        share = share_pruned(seen["marked"]) if seen["marked"] else None
+        pruned = [100.0 * (1.0 - row["gaussians_out"] / row["gaussians_in"]) for row in seen["marked"]]
+        share = fmean(pruned) if pruned else None
         text = {0.2: 65.0, 0.3: 80.0}.get(gamma)  # 60 to 70 %; above 0.3 over 80 %
         what = f"gamma {gamma:g}: Gaussians removed, %"
         yield Line("Figure 7", what, text, share, None, digits=1, more_is_better=None)

@@ -1,4 +1,4 @@
-"""A table or figure of the study: the settings and cells it needs, what the paper prints in it, what its rows say."""
+"""A table or figure of the study: the settings and cells it needs, what the paper prints in it."""
 
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TypedDict
 
 from engine.lab.evaluate.marked_scene import Changes
-from engine.lab.evaluate.study import Bar, Cell, Options, Row, Section, Table
-from engine.lab.evaluate.summary import Column, grouped, mean_text, picked, table
+from engine.lab.evaluate.study import Bar, Cell, Options, Row
+from engine.lab.evaluate.summary import grouped, picked
 
 PROFILE = "fast"
 """Profile that a setting starts from: the cheapest one, so nothing shown here needs more."""
@@ -18,18 +18,6 @@ MEASURING = "engine.lab.evaluate.tables.tables_cells"
 """Module of the cells' functions, where no bench has the same."""
 KINDS = ("marked", "refused", "view", "picture")
 """Of the rows of a setting's cell."""
-CONDITIONS = ("none", "JPEG 10", "noise 0.1")
-"""What the pictures of a sweep went through."""
-PUBLISHED = (
-    "Published numbers are the paper's own table: other scenes, other hardware, and image decoders that are "
-    "blind; it describes no path from a picture to its own, informed decoder."
-)
-FIDELITY: tuple[Column, ...] = (
-    ("PSNR, dB", lambda of: mean_text([row["psnr"] for row in of["view"] if row["psnr"] is not None])),
-    ("SSIM", lambda of: mean_text([row["ssim"] for row in of["view"]], 4)),
-    ("1 - MS-SSIM", lambda of: mean_text([row["distance"] for row in of["view"]], 5)),
-)
-"""Columns on the views of `rows_of_setting`; no PSNR where pictures are equal."""
 
 
 @dataclass(frozen=True)
@@ -37,22 +25,18 @@ class Part:
     """One of the suites that the tables are made of; parts may share cells, and each is given the rows of all."""
 
     name: str
-    title: str
-    question: str
+    tables: tuple[str, ...]  # whose lines it fills, see `facing`
     cells: Callable[[Options], list[Cell]]
-    section: Callable[[list[Row], Options], Section]
     bars: Callable[[list[Row], Options], list[Bar]] = lambda rows, options: []
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A row of an ablation, a point of a curve, as plain values; its name, unique among all tables, names cells."""
+    """A way to mark a scene, as plain values; its name, unique among all tables, names cells."""
 
     name: str
     changes: Changes = field(default_factory=dict)
     """Fields of `EmbedConfig` that differ from the profile's, nested as its stages are."""
-    without: str = ""
-    """A step to take out that has no knob (see `engine.lab.evaluate.tables.tables_cells`)."""
     bits: int = 32
     unmarked: bool = False
     """Look at the unmarked original in place of the marked model."""
@@ -93,7 +77,7 @@ def scenes_of(options: Options) -> Iterator[tuple[str, str]]:
 def setting_cells(options: Options, settings: Iterable[Setting], *, sweep: bool = True) -> list[Cell]:
     """One cell for each setting, scene and key.
 
-    In a sweep, pictures are fewer and smaller, and each is read after every attack of `measuring.ATTACKS`.
+    In a sweep, pictures are fewer and smaller, and each is read after every attack of `tables_cells.ATTACKS`.
     """
     effort = efforts(options)[sweep]
     shared = {"views": effort.views, "size": effort.size, "changes": changes_of(options), "attacked": sweep}
@@ -110,7 +94,7 @@ def setting_cells(options: Options, settings: Iterable[Setting], *, sweep: bool 
 
 
 def rows_of_setting(rows: Iterable[Row], name: str) -> dict[str, list[Row]]:
-    """A setting's rows by kind (see `measuring.measure_setting`); lists are empty where there is none."""
+    """A setting's rows by kind (see `tables_cells.measure_setting`); lists are empty where there is none."""
     found = grouped(picked(rows, setting=name), "kind")
     return {kind: found.get(kind, []) for kind in KINDS}
 
@@ -135,13 +119,3 @@ def printed(name: str) -> list[Row]:
         {name: None if value == "-" else value for name, value in zip(found["columns"], row, strict=True)}
         for row in found["rows"]
     ]
-
-
-def printed_table(name: str, *columns: Column, title: str = "As the paper prints it") -> Table:
-    """One of the paper's tables, to be shown."""
-    return table(printed(name), *columns, title=title)
-
-
-def system(row: Row) -> str:
-    """What a system of the paper's tables is called here."""
-    return "the paper" if row["system"] == "Mark3DGS" else str(row["system"])

@@ -1,17 +1,14 @@
 """The paper's early stop (Eq 8) over its threshold: which pixels end, what it costs a picture, what is still read."""
 
 import time
-from statistics import fmean
 
 import numpy as np
 
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.views.view_set import early_stop
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
-from engine.lab.evaluate.figures import Axes, label_line, styles
 from engine.lab.evaluate.marked_scene import Changes
-from engine.lab.evaluate.study import Cell, Options, Row, Table
-from engine.lab.evaluate.summary import accuracy, mean_text, picked, share_text, table
+from engine.lab.evaluate.study import Cell, Options, Row
 from engine.lab.evaluate.tables.part import DEFAULT, changes_of, efforts, scenes_of
 from engine.lab.evaluate.tables.tables_cells import OF_VIEWS, UNTOUCHED, mark_setting
 from engine.numerics.image_metrics import psnr
@@ -69,33 +66,3 @@ def cells(options: Options) -> list[Cell]:
         for short, path in scenes_of(options)
         for seed in range(options.seed, options.seed + effort.keys)
     ]
-
-
-def stops_table(rows: list[Row]) -> Table:
-    """A line a threshold."""
-    return table(
-        [{"tau": tau, "of": of} for tau in (None, *TAUS) if (of := _at(rows, tau))],
-        ("tau_occ", lambda line: "none" if line["tau"] is None else line["tau"]),
-        ("pixels ended, %", lambda line: mean_text([100 * row["ended"] for row in line["of"]])),
-        ("PSNR to the whole picture, dB", lambda line: mean_text([r["psnr"] for r in line["of"] if r["psnr"]])),
-        ("bits", lambda line: share_text(accuracy(line["of"]))),
-        ("bits by Eq 10", lambda line: share_text(accuracy(line["of"], "right_by_eq10"))),
-        ("z of a picture", lambda line: mean_text([row["z"] for row in line["of"]])),
-        ("blending, ms", lambda line: f"{1000 * fmean(row['blend_seconds'] for row in line['of']):.1f}"),
-        title="tau_occ: pixels end once sum_j alpha_j W_j reaches it (Eq 8; W is the rank of W^freq)",
-    )
-
-
-def draw_stops(axes: Axes, rows: list[Row]) -> None:
-    """z of a picture over tau_occ, that of the whole picture as a line."""
-    points = [(tau, fmean(row["z"] for row in of)) for tau in TAUS if (of := _at(rows, tau))]
-    if points:
-        axes.plot(*zip(*points, strict=True), label="no attack", **next(styles()))
-        label_line(axes, 1.2, "the paper's best", along="y")
-    if whole := _at(rows, None):
-        axes.axhline(fmean(row["z"] for row in whole), color="#6a6a6a", linewidth=0.8, linestyle=":")
-    axes.set_xlabel("tau_occ (dotted: no stop)")
-
-
-def _at(rows: list[Row], tau: float | None) -> list[Row]:
-    return picked(rows, kind="stop", tau=tau)

@@ -1,28 +1,16 @@
-"""Cells of the tables: scenes marked by a setting, attacked and timed; what the model and pictures of it still say.
-
-Steps of the embedding that have no knob are taken out for an ablation through the door that variants use:
-
-- ``uncertainty weights``: stage 0 weighs all Gaussians alike, not by the curvature of the render error.
-- ``uncertainty mask``: code vectors that the views are uncertain about are displaced like the others.
-- ``uncertainty``: both of these.
-- ``svd``: carriers are the RGB axes, not the right singular vectors of the codebook.
-"""
+"""Cells of the tables: scenes marked by a setting, attacked and timed; what the model and pictures of it still say."""
 
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from engine.compress.hvq import HvqConfig, Stage, quantize
-from engine.compress.impact import Impact
-from engine.errors import CapacityError, InputError
-from engine.flows.embed.variant import PLAIN, Variant
+from engine.errors import CapacityError
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.search import Verification, verify_model
-from engine.flows.views.camera_rig import measure_extent
 from engine.formats import encode_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.bench.raster import bench_camera
@@ -33,10 +21,9 @@ from engine.lab.evaluate.tables.part import DEFAULT, Setting
 from engine.lab.sim.attack import Label
 from engine.lab.sim.multiscale_ssim import ms_ssim_distance
 from engine.lab.sim.suite import Trial
-from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
+from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render
-from engine.watermark.planning import PlanConfig, visual_mask
 
 UNTOUCHED = Trial("none", (), "", "image")
 ATTACKS = (
@@ -202,7 +189,7 @@ def _frames(model: GaussianModel, camera: Camera, repeats: int) -> float:
 def mark_setting(scene: str, setting: Setting, seed: int, changes: Changes) -> MarkedScene:
     """The scene marked by a setting, after the run's own changes."""
     config = configure(setting.profile, changes, setting.changes)
-    return mark_scene(scene, config, bits=setting.bits, seed=seed, variant=without(setting.without, config.quantize))
+    return mark_scene(scene, config, bits=setting.bits, seed=seed)
 
 
 def _read_bits(result: Verification, scene: MarkedScene, route: str) -> Row:
@@ -228,53 +215,3 @@ def _of_picture(
     for number, trial in enumerate(trials):
         result = read_attacked(scene, trial, (*seed, number), stored, camera)
         yield {"attack": trial.label, **_read_bits(result, scene, "image")}
-
-
-STEPS = ("uncertainty weights", "uncertainty mask", "uncertainty", "svd")
-
-
-def without(step: str, config: HvqConfig) -> Variant:
-    """The variant whose embedding lacks that step of STEPS (InputError for another); the plain one for no name."""
-    if not step:
-        return PLAIN
-    if step not in STEPS:
-        raise InputError(f"no step {step!r} can be taken out; there are {', '.join(STEPS)}")
-    return _Lacking(step=step, config=config)
-
-
-@dataclass(frozen=True, eq=False)
-class _Lacking(Variant):
-    step: str = ""
-    config: HvqConfig = field(default_factory=HvqConfig)
-    made: list[Stage] = field(default_factory=list)
-
-    def own_stages(self, model: GaussianModel, weights: Float64) -> tuple[Stage, ...]:
-        if self.step in ("uncertainty weights", "uncertainty"):
-            weights = np.ones(len(model))
-        stages = quantize(model, weights, measure_extent(model).radius, self.config)
-        self.made.append(stages[0])
-        return _on_rgb_axes(stages) if self.step == "svd" else stages
-
-    def emphasis_on(self, impact: Impact) -> Float64 | None:
-        """The planner's mask where all cells are equally certain, over its mask as they are."""
-        if self.step not in ("uncertainty mask", "uncertainty"):
-            return None
-        stage = self.made[-1]
-        count = len(stage.codebook)
-        usage = np.bincount(stage.labels, impact.coverage, count).astype(np.float64)  # (M,)
-        even = replace(impact, squared=1.0 / np.bincount(stage.labels)[stage.labels])  # (N,), adds up to 1 in each cell
-        wanted, usual = (visual_mask(stage, seen, usage, count, PlanConfig()) for seen in (even, impact))  # (M,)
-        return np.asarray((wanted / usual)[stage.labels])  # (N,); texture cancels out
-
-
-def _on_rgb_axes(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """Codebooks whose colours, as shown, lie on the axes: their singular vectors are the axes.
-
-    Only carriers are made from codebooks (output "fidelity" keeps each Gaussian's own colour).
-    """
-    book = stages[0].codebook.copy()
-    axis = np.arange(len(book)) % 3
-    shown = np.zeros((len(book), 3), dtype=np.float32)
-    shown[np.arange(len(book)), axis] = 1.0
-    book[:, :3] = (shown - 0.5) / SH_C0
-    return (Stage(book, stages[0].labels), *stages[1:])

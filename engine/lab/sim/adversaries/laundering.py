@@ -4,8 +4,6 @@ Purification in the sense of diffusion purification (Nie et al. 2022): the look 
 by training, which has no reason to bring the mark back.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from engine.flows.views.camera_rig import make_rig
@@ -49,28 +47,18 @@ def shake(model: GaussianModel, sigma: float, rng: np.random.Generator) -> Gauss
 @ATTACKS.add(
     "smooth colors, shake, and train on renders of the smoothed model", "neighbors", 32, (1, 8, 16, 32, 64), "1..256"
 )
-def purify_train(
-    model: GaussianModel,
-    strength: int,
-    rng: np.random.Generator,
-    *,
-    steps: int = STEPS,
-    shaken: float = SHAKE,
-    advance: Callable[[float], None] | None = None,
-) -> GaussianModel:
+def purify_train(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
     """Colors become the mean over `strength` neighbors, which is what the thief takes pictures of; centers are shaken
     by twice their size and sizes by half, the order is drawn anew, and all parameters trained on the pictures.
-
-    `steps` of Adam, one picture each; `shaken` is the shake in sizes; `advance` is called with the part done, 0 to 1.
     """
     from engine.raster import render
 
     blurred = smooth(model, strength)
     cameras = make_rig(model, VIEWS, VIEW_SIZE, VIEW_SIZE, jitter=rng.random((VIEWS, 4)))
     images = [np.clip(render(blurred, camera), 0.0, 1.0) for camera in cameras]
-    start = shake(blurred, shaken, rng)
+    start = shake(blurred, SHAKE, rng)
     config = TrainConfig(
-        steps=max(steps, 1),
+        steps=STEPS,
         position_rate=RATES.position_rate,
         position_rate_end=RATES.position_rate_end,
         color_rate=RATES.color_rate,
@@ -78,7 +66,7 @@ def purify_train(
         densify=None,
         seed=int(rng.integers(2**31)),
     )
-    return Trainer(start, cameras, images, config).run(advance) if steps else start
+    return Trainer(start, cameras, images, config).run()
 
 
 @ATTACKS.add(

@@ -12,12 +12,12 @@ How the paper's Table 5 (and NeRF Signature's before it) is read here, since the
   position rate decaying over the run; densification is off.
 
 A fresh model keeps none of the stolen Gaussians, only the look: 1. render the stolen model from views of the attacker's
-choice; 2. lift points from the depths of these renders, or draw them at random, and make round Gaussians of them;
+choice; 2. lift points from the depths of these renders, and make round Gaussians of them;
 3. train all parameters on the renders, as on photos. No published result says whether a mark survives that.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -114,6 +114,7 @@ def fine_tune(
     return next(stages)[1]
 
 
+START_OPACITY = 0.5  # of every Gaussian of a fresh model
 LEAST_ALPHA = 0.5  # a pixel this opaque shows a surface, on which a point may lie
 PHOTO_DB = 27.0
 """What a trained model usually reaches on photos it has not seen (27.2 dB, Mip-NeRF 360 scenes, Kerbl et al. 2023)."""
@@ -124,9 +125,6 @@ class RetrainConfig:
     """Knobs of the attack."""
 
     points: int = 50_000  # Gaussians to start from
-    # points on the surfaces that the renders' depths show, or anywhere in their midst
-    start: Literal["depth", "random"] = "depth"
-    opacity: float = 0.5  # of every Gaussian at the start, in (0, 1)
     # of the training; `train.steps` renders are shown
     train: TrainConfig = field(
         default_factory=lambda: TrainConfig(steps=3_000, sh_degree=0, densify=None, opacity_rate=0.02)
@@ -136,8 +134,6 @@ class RetrainConfig:
     def __post_init__(self) -> None:
         if self.points < 100:
             raise InputError(f"points is {self.points}, expected at least 100")
-        if self.start not in ("depth", "random"):
-            raise InputError(f"start must be 'depth' or 'random', got {self.start!r}")
 
 
 def retrain(
@@ -151,26 +147,6 @@ def retrain(
     `progress` is called with the part done, 0 to 1. InputError if there is no camera, or the views show too little.
     """
     return _trainer(marked, cameras, config or RetrainConfig()).run(progress)
-
-
-def retraining_steps(
-    marked: GaussianModel,
-    cameras: Sequence[Camera],
-    stops: Sequence[int],
-    config: RetrainConfig | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Iterator[tuple[int, GaussianModel]]:
-    """One training, looked at on its way: steps done and the model then, after each of the rising `stops`.
-
-    As `retrain`; the last stop ends the training, whatever number of steps the config has.
-    """
-    if not stops or list(stops) != sorted(set(stops)) or stops[0] < 1:
-        raise InputError(f"stops must be rising positive numbers, got {list(stops)}")
-    config = config or RetrainConfig()
-    config = replace(config, train=replace(config.train, steps=stops[-1]))
-    trainer = _trainer(marked, cameras, config)
-    for stop in stops:
-        yield stop, trainer.run(progress, until=stop)
 
 
 def quality_lost(retrained: GaussianModel, stolen: GaussianModel, cameras: Sequence[Camera]) -> dict[str, float]:
@@ -202,11 +178,7 @@ def _trainer(marked: GaussianModel, cameras: Sequence[Camera], config: RetrainCo
     cloud, shade = np.concatenate(points), np.concatenate(colors)
     if len(cloud) < 100:
         raise InputError(f"the {len(cameras)} views show {len(cloud)} points of the model, expected 100 at least")
-    if config.start == "random":
-        low, high = np.quantile(cloud, [0.02, 0.98], axis=0)
-        cloud = rng.uniform(low, high, (config.points, 3))
-        shade = rng.uniform(0.0, 1.0, (config.points, 3)).astype(np.float32)
-    start = kernels_from_points(cloud, shade, opacity=config.opacity)
+    start = kernels_from_points(cloud, shade, opacity=START_OPACITY)
     return Trainer(start, cameras, images, config.train)
 
 

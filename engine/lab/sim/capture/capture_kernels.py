@@ -20,17 +20,17 @@ one place."""
 _THINNEST = 0.05  # of the widest axis: thinner kernels flicker when seen from the edge and say nothing more
 _LONGEST = 3.0  # of the middle axis: along the edge of a surface the neighborhood is a line, the surface is not
 
+PLANE_NEIGHBORS = 12  # more make smoother surfaces and rounder edges
+FLAT_OPACITY = 0.95
+
 _ROWS_AT_ONCE = 1 << 16
 
 
-def kernels_from_points(
-    points: npt.NDArray[Any], colors: npt.NDArray[Any], *, opacity: float = 0.1, size: float = 1.0
-) -> GaussianModel:
+def kernels_from_points(points: npt.NDArray[Any], colors: npt.NDArray[Any], *, opacity: float = 0.1) -> GaussianModel:
     """One round Gaussian for every point, as wide as its three nearest neighbors are far (Kerbl et al. 2023).
 
     Points (N, 3) are finite, N >= 4; colors (N, 3) 0 to 1, or uint8. The model has SH degree 0, one opacity in (0, 1)
-    and the order of the points; the standard deviation is `size` times the root mean square distance to the three
-    nearest others: a dense scan that needs no training looks solid at about 0.7.
+    and the order of the points; the standard deviation is the root mean square distance to the three nearest others.
     """
     from scipy.spatial import cKDTree  # costs 0.2 s, and the command line only passes by
 
@@ -49,13 +49,11 @@ def kernels_from_points(
         raise InputError(f"colors lie between {shades.min():g} and {shades.max():g}, expected 0 to 1 or uint8")
     if not 0.0 < opacity < 1.0:
         raise InputError(f"opacity is {opacity}, expected to lie in (0, 1)")
-    if not (np.isfinite(size) and size > 0.0):
-        raise InputError(f"size is {size}, expected a positive factor")
 
     distances = cKDTree(points).query(points, k=_NEIGHBORS + 1)[0][:, 1:]  # (N, 3)
     spread = np.sqrt(np.mean(distances**2, axis=1))
     typical = np.median(spread[spread > 0.0]) if (spread > 0.0).any() else 1.0
-    spread = np.maximum(spread, _SMALLEST * typical) * size
+    spread = np.maximum(spread, _SMALLEST * typical)
     quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(points), 1))
     return GaussianModel(
         points.astype(np.float32),
@@ -66,26 +64,21 @@ def kernels_from_points(
     )
 
 
-def flat_kernels_from_points(
-    points: npt.NDArray[Any], colors: npt.NDArray[Any], *, neighbors: int = 12, opacity: float = 0.95, size: float = 1.0
-) -> GaussianModel:
+def flat_kernels_from_points(points: npt.NDArray[Any], colors: npt.NDArray[Any]) -> GaussianModel:
     """One flat Gaussian for every point, turned into the plane of its neighbors (PCA).
 
     The k nearest points fill a disc of k times the area that a point has for itself; the standard deviations of a
     disc are half its radius, so 2 / sqrt(k) times those of the neighborhood are the radius of a point's own disc.
 
-    The third axis is the normal, up to its sign. More than 12 `neighbors` k (at least 3) make smoother surfaces and
-    rounder edges; at a `size` below 0.8, evenly spaced points begin to show. All else as of `kernels_from_points`.
+    The third axis is the normal, up to its sign. All else as of `kernels_from_points`.
     """
     from scipy.spatial import cKDTree
 
     from engine.numerics.similarity import rotation_to_quaternion
 
-    round_ones = kernels_from_points(points, colors, opacity=opacity, size=size)  # and all that is checked there
-    if neighbors < 3:
-        raise InputError(f"neighbors is {neighbors}, expected at least 3")
+    round_ones = kernels_from_points(points, colors, opacity=FLAT_OPACITY)  # and all that is checked there
     points = np.asarray(points, dtype=np.float64)
-    k = min(neighbors, len(points) - 1)
+    k = min(PLANE_NEIGHBORS, len(points) - 1)
     tree = cKDTree(points)
     log_scales, quats = round_ones.log_scales.copy(), round_ones.quats.copy()
     smallest = _SMALLEST * float(np.exp(np.median(round_ones.log_scales)))
@@ -94,7 +87,7 @@ def flat_kernels_from_points(
         near = points[tree.query(points[rows], k=k + 1)[1]]  # (B, k + 1, 3), the point itself among them
         near = near - near.mean(axis=1, keepdims=True)
         values, vectors = principal_axes(np.einsum("bki,bkj->bij", near, near) / (k + 1))  # (B, 3), (B, 3, 3)
-        spread = np.maximum(size * 2.0 / np.sqrt(k) * np.sqrt(np.maximum(values, 0.0)), smallest)
+        spread = np.maximum(2.0 / np.sqrt(k) * np.sqrt(np.maximum(values, 0.0)), smallest)
         spread[:, 0] = np.minimum(spread[:, 0], _LONGEST * spread[:, 1])
         spread[:, 2] = np.maximum(spread[:, 2], _THINNEST * spread[:, 0])
         log_scales[rows] = np.log(spread)

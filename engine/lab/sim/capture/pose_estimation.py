@@ -4,7 +4,7 @@ Structure from motion (pycolmap) makes a COLMAP model of photos, LiDAR odometry 
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from engine.lab.sim.capture.scans import Scan
 from engine.model import Bool, Float64
 
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+_LONGEST_SIDE = 2000  # of photos in which features are looked for, pixels
 _FEWEST = 3
 _EXHAUSTIVE = 150
 """Photos up to which every pair is compared; beyond, each with the next ones (photos of a walk or a video)."""
@@ -46,8 +47,6 @@ def reconstruct(
     photos: str | os.PathLike[str],
     work_folder: str | os.PathLike[str],
     *,
-    one_camera: bool = True,
-    size: int = 2000,
     threads: int = -1,
     seed: int = 0,
     progress: Progress | None = None,
@@ -58,9 +57,8 @@ def reconstruct(
     CPU. With one thread and a seed the result repeats; with more (-1: all), points come in another order.
 
     `photos` is a folder of at least three pictures that overlap; `work_folder`, made where missing, gets
-    ``database.db`` and ``sparse/0``, and what an earlier run left there is replaced. With `one_camera` of one focal
-    length for all photos the result is steadier; else each has its own. `size` is the longest side at which features
-    are looked for, pixels. Progress has the stages "features", "matches" and "mapping".
+    ``database.db`` and ``sparse/0``, and what an earlier run left there is replaced. All photos share one camera of one
+    focal length, which makes the result steadier. Progress has the stages "features", "matches" and "mapping".
     """
     root, work = Path(photos), Path(work_folder)
     if not root.is_dir():
@@ -81,11 +79,10 @@ def reconstruct(
     cpu = pycolmap.Device.cpu
     with clock.stage("features"):
         extraction = pycolmap.FeatureExtractionOptions()
-        extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, size, False
-        mode = pycolmap.CameraMode.SINGLE if one_camera else pycolmap.CameraMode.PER_IMAGE
+        extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, _LONGEST_SIDE, False
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
         options = {"reader_options": reader, "extraction_options": extraction, "device": cpu}
-        pycolmap.extract_features(database, root, image_names=names, camera_mode=mode, **options)
+        pycolmap.extract_features(database, root, image_names=names, camera_mode=pycolmap.CameraMode.SINGLE, **options)
     with clock.stage("matches"):
         matching = pycolmap.FeatureMatchingOptions()
         matching.num_threads, matching.use_gpu = threads, False
@@ -108,23 +105,21 @@ def reconstruct(
     return Structure(folder, len(names), int(best.num_reg_images()), float(best.compute_mean_reprojection_error()))
 
 
-def odometry(
-    scans: Sequence[Scan], *, farthest: float | None = None, advance: Callable[[float], None] | None = None
-) -> Trajectory:
+def odometry(scans: Sequence[Scan]) -> Trajectory:
     """Where the scanner was at each scan, in the frame of the first, by KISS-ICP (Vizzo et al. 2023).
 
     At least two scans come in the order in which they were taken, each overlapping the one before. Where their points
-    have times, the motion during a turn is undone; the path has times where all scans do. Ranges beyond `farthest`
-    (scene units; the largest of the first scan where not given) are not used.
+    have times, the motion during a turn is undone; the path has times where all scans do. Ranges beyond the largest of
+    the first scan are not used.
     """
     from engine.numerics.similarity import rotation_to_quaternion  # scipy: the command line only passes by
 
     if len(scans) < 2:
         raise InputError(f"odometry needs at least two scans, got {len(scans)}")
     kiss = load_extra("kiss_icp.kiss_icp", "capture", "LiDAR odometry")
-    reach = farthest or float(np.linalg.norm(scans[0].cloud.points, axis=1).max(initial=0.0))
+    reach = float(np.linalg.norm(scans[0].cloud.points, axis=1).max(initial=0.0))
     if not (np.isfinite(reach) and reach > 0.0):
-        raise InputError(f"farthest is {reach}, expected a positive range")
+        raise InputError(f"the first scan reaches {reach}, expected a positive range")
     scale = USUAL_RANGE / reach
     config = load_extra("kiss_icp.config", "capture", "LiDAR odometry").KISSConfig()
     config.data.max_range, config.data.min_range = USUAL_RANGE, 0.0
@@ -133,14 +128,12 @@ def odometry(
     config.registration.max_num_threads = 1  # the same bytes on every machine
     machine = kiss.KissICP(config)
     poses = []
-    for k, scan in enumerate(scans):
+    for scan in scans:
         inside = np.linalg.norm(scan.cloud.points, axis=1) <= reach
         if not inside.any():
             raise InputError(f"scan {scan.name!r} holds no points within {reach:g}")
         machine.register_frame(scan.cloud.points[inside] * scale, _turn(scan, inside))
         poses.append(np.asarray(machine.last_pose, dtype=np.float64).copy())
-        if advance is not None:
-            advance((k + 1) / len(scans))
     matrices = np.stack(poses)
     times = [scan.time for scan in scans]
     known = np.array(times, dtype=np.float64) if all(time is not None for time in times) else None

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from engine.flows.progress import Clock, Progress
 from engine.lab.points.cloud import PointCloud
 from engine.lab.points.reading import POINT_ENDINGS, read_point_cloud
 from engine.lab.points.trajectory import Trajectory, read_trajectory
-from engine.lab.sim.capture.capture_kernels import flat_kernels_from_points, kernels_from_points
+from engine.lab.sim.capture.capture_kernels import flat_kernels_from_points
 from engine.model import Bool, Float32, Float64, GaussianModel, Int64
 
 
@@ -57,13 +57,10 @@ def poses_at(trajectory: Trajectory, times: npt.NDArray[Any]) -> tuple[Any, Floa
     return Slerp(known, rotations)(times), places
 
 
-def place_scans(
-    scans: Sequence[Scan], trajectory: Trajectory, mounting: Float64 | None = None
-) -> tuple[list[PointCloud], int]:
+def place_scans(scans: Sequence[Scan], trajectory: Trajectory) -> tuple[list[PointCloud], int]:
     """Scans in the world, in the order in which they were taken, and the number of their points left out.
 
     Points taken before the first pose or after the last are left out; times are those of the trajectory's clock.
-    `mounting`, a rigid (4, 4), leads from the scanner's frame to that of the poses (KITTI's ``Tr``).
 
     1. A trajectory without times (KITTI) has one pose for each scan.
     2. Points with times of the trajectory's clock are placed each by its own pose. Several scans must follow each
@@ -76,7 +73,7 @@ def place_scans(
             message = f"{len(scans)} scans for {len(trajectory)} poses without times (KITTI): each needs its own"
             raise InputError(message)
         placed = [
-            replace(scan.cloud, points=mounted(scan.cloud.points, mounting) @ pose[:3, :3].T + pose[:3, 3])
+            replace(scan.cloud, points=scan.cloud.points @ pose[:3, :3].T + pose[:3, 3])
             for scan, pose in zip(scans, trajectory.matrices, strict=True)
         ]
         return placed, 0
@@ -92,7 +89,7 @@ def place_scans(
             )
             raise InputError(message)
         scans = [replace(scan, time=float(time)) for scan, time in zip(scans, known, strict=True)]
-    pairs = [place_scan(scan, trajectory, mounting) for scan in scans]
+    pairs = [place_scan(scan, trajectory) for scan in scans]
     return [cloud for cloud, _ in pairs], sum(outside for _, outside in pairs)
 
 
@@ -104,7 +101,7 @@ def _on_clock(scans: Sequence[Scan], known: Float64) -> bool:
     return all(later[0] > earlier[0] for earlier, later in pairwise(spans))
 
 
-def place_scan(scan: Scan, trajectory: Trajectory, mounting: Float64 | None = None) -> tuple[PointCloud, int]:
+def place_scan(scan: Scan, trajectory: Trajectory) -> tuple[PointCloud, int]:
     """One scan in the world, by its own time or by those of its points, and its points left out; see `place_scans`."""
     cloud, known = scan.cloud, trajectory.times
     if known is None:
@@ -118,7 +115,7 @@ def place_scan(scan: Scan, trajectory: Trajectory, mounting: Float64 | None = No
         )
     kept = cloud.take(inside)
     rotations, positions = poses_at(trajectory, times[inside])
-    points = rotations.apply(mounted(kept.points, mounting)) + positions
+    points = rotations.apply(kept.points) + positions
     return replace(kept, points=points, times=times[inside]), int(np.count_nonzero(~inside))
 
 
@@ -132,17 +129,6 @@ def _times(scan: Scan) -> Float64:
     if stamps is None:
         return np.full(len(scan.cloud), scan.time)
     return np.asarray(stamps - stamps.min() + scan.time)
-
-
-def mounted(points: Float64, mounting: Float64 | None) -> Float64:
-    """Points in the frame of the trajectory."""
-    if mounting is None:
-        return points
-    matrix = np.asarray(mounting, dtype=np.float64)
-    rigid = matrix.shape == (4, 4) and np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3)
-    if not (rigid and np.isfinite(matrix).all() and np.linalg.det(matrix[:3, :3]) > 0):
-        raise InputError(f"the mounting must be a rigid (4, 4) matrix, got {matrix.tolist()}")
-    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def join_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
@@ -263,25 +249,8 @@ _SECONDS = re.compile(r"[0-9]+\.[0-9]+", re.ASCII)
 _NANOSECONDS = re.compile(r"[0-9]{16,19}", re.ASCII)
 
 
-@dataclass(frozen=True)
-class CloudConfig:
-    """Knobs between a cloud and its kernels."""
-
-    # edge of a voxel that keeps one point, scene units; 0 keeps all points. None: the spacing of a single scan, since
-    # many scans of one place say it many times; of a plain cloud, all points; more if `most` asks for it
-    voxel: float | None = None
-    most: int = 500_000  # points wanted at most, where `voxel` is None
-    clean: bool = True  # leave out lone points and small islands (sky, echoes under the ground)
-    # flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA)
-    kernels: Literal["flat", "round"] = "flat"
-    opacity: float | None = None  # of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones
-    size: float = 1.0  # factor on the standard deviations
-
-    def __post_init__(self) -> None:
-        if self.most < 4:
-            raise InputError(f"most is {self.most}, expected at least 4 points")
-        if self.kernels not in ("flat", "round"):
-            raise InputError(f"kernels must be 'flat' or 'round', got {self.kernels!r}")
+MOST = 500_000
+"""Points that a model is made of, at most; scans, which say one place many times, are thinned to the spacing of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,28 +266,23 @@ class CloudModel:
     colors_from: str  # "colors", "intensity" or "none"
 
 
-def points_to_model(
-    path: str | os.PathLike[str], *, config: CloudConfig | None = None, progress: Progress | None = None
-) -> CloudModel:
+def points_to_model(path: str | os.PathLike[str], *, progress: Progress | None = None) -> CloudModel:
     """Make a model of a point cloud (PLY, PCD, LAS or LAZ). Progress has the stages "read", "thin" and "kernels"."""
     clock = Clock(progress)
     with clock.stage("read"):
         cloud, _ = read_point_cloud(path)
-    return _to_model(cloud, config or CloudConfig(), clock)
+    return _to_model(cloud, clock)
 
 
 def scans_to_model(
     scans: str | os.PathLike[str] | Sequence[Scan],
     trajectory: str | os.PathLike[str] | Trajectory,
     *,
-    config: CloudConfig | None = None,
-    mounting: Float64 | None = None,
     progress: Progress | None = None,
 ) -> CloudModel:
     """Make a model of LiDAR scans (or their folder or file, see `read_scans`) and the path of the scanner (TUM, KITTI).
 
-    `mounting` (4, 4) leads from the scanner's frame to the one whose poses are in the trajectory. Progress has the
-    stages "read", "place", "thin" and "kernels".
+    Progress has the stages "read", "place", "thin" and "kernels".
     """
     clock = Clock(progress)
     with clock.stage("read"):
@@ -326,10 +290,10 @@ def scans_to_model(
         if isinstance(scans, str | os.PathLike):
             scans = read_scans(scans, clock)
     with clock.stage("place"):
-        clouds, _ = place_scans(scans, path, mounting)
+        clouds, _ = place_scans(scans, path)
         cloud = replace(join_clouds(clouds), times=None)  # a mean of times says nothing
         spacing = float(np.median([typical_spacing(c.points) for c in clouds[:: max(1, len(clouds) // 8)]]))
-    return _to_model(cloud, config or CloudConfig(), clock, spacing if len(clouds) > 1 else 0.0)
+    return _to_model(cloud, clock, spacing if len(clouds) > 1 else 0.0)
 
 
 def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> list[Scan]:
@@ -352,27 +316,24 @@ def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> list
     return scans
 
 
-def _to_model(cloud: PointCloud, config: CloudConfig, clock: Clock, spacing: float = 0.0) -> CloudModel:
+def _to_model(cloud: PointCloud, clock: Clock, spacing: float = 0.0) -> CloudModel:
     read = len(cloud)
     with clock.stage("thin"):
-        cloud, voxel = _thinned(cloud, config, spacing)
-        cloud = drop_strays(cloud) if config.clean else cloud
+        cloud, voxel = _thinned(cloud, spacing)
+        cloud = drop_strays(cloud)
     with clock.stage("kernels"):
         colors, source = _colors(cloud)
         origin = _origin(cloud.points)
-        own = {} if config.opacity is None else {"opacity": config.opacity}
-        make = flat_kernels_from_points if config.kernels == "flat" else kernels_from_points
-        model = make(cloud.points - origin, colors, size=config.size, **own)
+        model = flat_kernels_from_points(cloud.points - origin, colors)
     return CloudModel(model, cloud, origin, read, voxel, source)
 
 
-def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[PointCloud, float]:
-    """The cloud, and the edge of the voxels it was thinned by (0: not at all)."""
-    size = spacing if config.voxel is None else config.voxel
+def _thinned(cloud: PointCloud, size: float) -> tuple[PointCloud, float]:
+    """The cloud, and the edge of the voxels that thinned it (0: none did): `size`, or more if `MOST` asks for it."""
     thin = thin_voxels(cloud, size) if size > 0.0 else cloud
-    while config.voxel is None and len(thin) > config.most:
+    while len(thin) > MOST:
         size = size or typical_spacing(cloud.points) or 1e-6 * float(np.ptp(cloud.points, axis=0).max() or 1.0)
-        size *= max(1.05, float(np.sqrt(len(thin) / config.most)))  # surfaces: twice the size, a quarter left
+        size *= max(1.05, float(np.sqrt(len(thin) / MOST)))  # surfaces: twice the size, a quarter left
         thin = thin_voxels(cloud, size)
     return thin, size
 

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Verification, verify_model
 from engine.lab.sim.attack import check_positive
 from engine.lab.sim.edits.selection import check_selection
@@ -148,13 +147,8 @@ def move(model: GaussianModel, selection: Bool, shift: npt.ArrayLike) -> Edited:
     return _edit("move", model, selection, Similarity(1.0, np.eye(3), check_triple(shift, "shift")))
 
 
-def rotate(
-    model: GaussianModel, selection: Bool, axis: npt.ArrayLike, degrees: float, about: npt.ArrayLike | None = None
-) -> Edited:
-    """Turn the selected Gaussians, right-handed, about an axis (3,) of any length but 0.
-
-    The point `about` stays where it is; the middle of the selection's bounding box by default.
-    """
+def rotate(model: GaussianModel, selection: Bool, axis: npt.ArrayLike, degrees: float) -> Edited:
+    """Turn the selected Gaussians, right-handed, about an axis (3,), not zero, through the middle of their box."""
     direction = check_triple(axis, "axis")
     length = float(np.linalg.norm(direction))
     if length == 0:
@@ -162,13 +156,13 @@ def rotate(
     if not np.isfinite(degrees):
         raise InputError(f"angle must be finite, got {degrees}")
     R = Rotation.from_rotvec(np.radians(degrees) * direction / length).as_matrix()
-    return _edit("rotate", model, selection, _about(model, selection, 1.0, R, about))
+    return _edit("rotate", model, selection, _about_middle(model, selection, 1.0, R))
 
 
-def scale(model: GaussianModel, selection: Bool, factor: float, about: npt.ArrayLike | None = None) -> Edited:
-    """Scale the selected Gaussians by `factor` > 0 about a point (the middle of their box by default)."""
+def scale(model: GaussianModel, selection: Bool, factor: float) -> Edited:
+    """Scale the selected Gaussians by `factor` > 0 about the middle of their box."""
     check_positive(factor, "scale factor")
-    return _edit("scale", model, selection, _about(model, selection, factor, np.eye(3), about))
+    return _edit("scale", model, selection, _about_middle(model, selection, factor, np.eye(3)))
 
 
 def place(model: GaussianModel, selection: Bool, similarity: Similarity) -> Edited:
@@ -223,13 +217,10 @@ def _edit(
     return Edited(edit.apply(model), edit)
 
 
-def _about(model: GaussianModel, selection: Bool, factor: float, R: Float64, about: npt.ArrayLike | None) -> Similarity:
-    """The similarity of that factor and rotation that leaves a point where it is."""
-    if about is None:
-        means = model.means[check_selection(model, selection)].astype(np.float64)
-        pivot = 0.5 * (means.min(axis=0) + means.max(axis=0))
-    else:
-        pivot = check_triple(about, "about")
+def _about_middle(model: GaussianModel, selection: Bool, factor: float, R: Float64) -> Similarity:
+    """The similarity of that factor and rotation that leaves the middle of the selection's bounding box where it is."""
+    means = model.means[check_selection(model, selection)].astype(np.float64)
+    pivot = 0.5 * (means.min(axis=0) + means.max(axis=0))
     return Similarity(factor, R, pivot - factor * R @ pivot)
 
 
@@ -308,16 +299,14 @@ def edited_record(opened: OpenedRecord, track: EditTrack) -> OpenedRecord:
     return replace(opened, reference=reference, layout=opened.layout.at(origin), copies=None)
 
 
-def verify_edited(
-    suspect: GaussianModel, opened: OpenedRecord, track: EditTrack, config: VerifyConfig | None = None
-) -> Verification:
+def verify_edited(suspect: GaussianModel, opened: OpenedRecord, track: EditTrack) -> Verification:
     """Does this model carry the record's mark, when the edits it went through are known?
 
     The suspect is the marked model after the track's edits, and after whatever else happened to it since. A note says
     that a track was subtracted: the bound holds for a track that was fixed without knowledge of the chips; one made up
     by a claimant could name any Gaussians it liked, so such a claim is only as good as the track's source.
     """
-    found = verify_model(suspect, edited_record(opened, track), config)
+    found = verify_model(suspect, edited_record(opened, track))
     names = ", ".join(edit.name for edit in track.edits) or "none"
     note = f"a known track of {len(track.edits)} edits was subtracted ({names}): the bound trusts its source"
     return replace(found, claim=replace(found.claim, notes=(*found.claim.notes, note)))

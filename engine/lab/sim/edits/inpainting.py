@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from engine.errors import InputError
-from engine.lab.sim.attack import check_positive
 from engine.lab.sim.edits.edit import Edited, delete
 from engine.lab.sim.model_placement import join
 from engine.model import Bool, Camera, Float64, GaussianModel, Int64, look_at
@@ -322,25 +320,12 @@ BASE_COLOR = 3.0
 ROUNDS = 8  # times the surface is looked at again for cells that the copies so far left open
 
 
-@dataclass(frozen=True)
-class InpaintConfig:
-    """Knobs of the inpainting."""
-
-    ring: float = 0.6  # width of the ring that gives surface and texture, in radii of the hole
-    cells: int = 96  # cells across the area looked at; the texture is copied in cells
-    # opacity along the normal from which a cell counts as surface, in shares of the ring's own; (0, 1)
-    covered: float = 0.85
-    seed: int = 0  # of the surface's search
-
-    def __post_init__(self) -> None:
-        check_positive(self.ring, "ring width")
-        if not 16 <= self.cells <= 512:
-            raise InputError(f"cells must number 16 to 512, got {self.cells}")
-        if not 0 < self.covered < 1:
-            raise InputError(f"covered must lie in (0, 1), got {self.covered}")
+RING = 0.6  # width of the ring that gives surface and texture, in radii of the hole
+CELLS = 96  # most cells across the area looked at; the texture is copied in cells
+COVERED = 0.85  # opacity along the normal from which a cell counts as surface, in shares of the ring's own
 
 
-def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = InpaintConfig()) -> Edited:
+def inpaint(model: GaussianModel, selection: Bool) -> Edited:
     """Delete the selected Gaussians and fill the hole they leave in the surface around them.
 
     The Gaussians left come in their order, then the filling (`edit.filling`; None where no surface surrounds the
@@ -352,26 +337,24 @@ def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = Inpai
     center = np.median(hole.means.astype(np.float64), axis=0)
     size = float(np.quantile(np.linalg.norm(hole.means - center, axis=1), 0.9))
     size = max(size, float(np.median(hole.scales.max(axis=1))))
-    ring = model.take(ring_around(model, selection, config.ring * size, LEAST_RING))
-    surface = fit_surface(ring, hole, size, np.random.default_rng(config.seed))  # 1
-    filling = None if surface is None else _fill(cut.model, hole, surface, config)
+    ring = model.take(ring_around(model, selection, RING * size, LEAST_RING))
+    surface = fit_surface(ring, hole, size, np.random.default_rng(0))  # 1
+    filling = None if surface is None else _fill(cut.model, hole, surface)
     if filling is None:
         return cut
     edit = replace(cut.edit, name="inpaint", filling=filling)
     return Edited(edit.apply(model), edit)
 
 
-def _fill(
-    left: GaussianModel, hole: GaussianModel, surface: HoleSurface, config: InpaintConfig
-) -> GaussianModel | None:
+def _fill(left: GaussianModel, hole: GaussianModel, surface: HoleSurface) -> GaussianModel | None:
     from scipy.ndimage import binary_dilation
 
-    frame = _Frame(left, hole, surface, config)
+    frame = _Frame(left, hole, surface)
     color, alpha = frame.see(frame.support)  # 2; (H, W, 3), (H, W)
     usual = float(np.median(alpha[alpha > SHOWN])) if (alpha > SHOWN).any() else 0.0
     if usual == 0.0:
         return None
-    known = alpha >= config.covered * usual
+    known = alpha >= COVERED * usual
     _, footprint = frame.see(frame.place(hole))
     gap = enclosed(known, ~known & binary_dilation(footprint > STOOD))
     # What is copied is the texture; the base color is the rim's, continued.
@@ -390,25 +373,25 @@ def _fill(
             break
         filling = more if filling is None else join(filling, more)
         _, alpha = frame.see(join(frame.support, frame.place(filling)))
-        wanted = gap & (alpha < config.covered * usual)
+        wanted = gap & (alpha < COVERED * usual)
     return filling
 
 
 class _Frame:
     """The surface around a hole laid flat: cells of a grid over u and v, and the Gaussians that make it."""
 
-    def __init__(self, left: GaussianModel, hole: GaussianModel, surface: HoleSurface, config: InpaintConfig) -> None:
+    def __init__(self, left: GaussianModel, hole: GaussianModel, surface: HoleSurface) -> None:
         self.surface = surface
         gap = surface.local(hole.means)
         low, high = np.quantile(gap[:, :2], [0.01, 0.99], axis=0)
         self.middle = 0.5 * (low + high)
-        reach = 0.5 * float((high - low).max()) + config.ring * surface.size
+        reach = 0.5 * float((high - low).max()) + RING * surface.size
         local = surface.local(left.means)
         inside = (np.abs(local[:, :2] - self.middle) < reach).all(axis=1)
         rows = np.flatnonzero(inside & (np.abs(local[:, 2]) < surface.band))
         # Cells finer than the Gaussians hold no texture of their own, and patches of them too few Gaussians.
         usual = float(np.median(np.sort(left.scales[rows], axis=1)[:, 1])) if len(rows) else 0.0
-        self.cells = int(np.clip(2.0 * reach / max(0.5 * usual, 2.0 * reach / config.cells), 16, config.cells))
+        self.cells = int(np.clip(2.0 * reach / max(0.5 * usual, 2.0 * reach / CELLS), 16, CELLS))
         self.cell = 2.0 * reach / self.cells
         self.model, self.local = left.take(rows), local[rows]
         self.support = self.place(self.model)

@@ -49,16 +49,13 @@ def register_pieces(
     return Pieces(each[0], matches, quality, piece, *placed)
 
 
-def verify_pieces(
-    suspect: GaussianModel, opened: OpenedRecord, config: VerifyConfig | None = None, *, pieces: Pieces | None = None
-) -> Claim:
+def verify_pieces(suspect: GaussianModel, opened: OpenedRecord, *, pieces: Pieces | None = None) -> Claim:
     """Does this model carry the record's mark, parts of it having been moved? One claim from all pieces.
 
-    It is one of one try: how the suspect was taken apart was settled without the chips. The route must be "auto" or
-    "model"; pieces of this suspect and the record's reference may be registered already.
+    It is one of one try: how the suspect was taken apart was settled without the chips. Pieces of this suspect and the
+    record's reference may be registered already.
     """
-    config = config or VerifyConfig()
-    _check_route(config, "model; pieces are")
+    config = VerifyConfig()
     pieces = pieces or register_pieces(opened.reference, suspect, seed=config.seed)
     share = len(np.unique(pieces.matches[pieces.matches >= 0])) / len(opened.reference)
     whole = replace(pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=share)
@@ -86,25 +83,20 @@ class ObjectFinding:
 
 
 def verify_objects(
-    suspect: GaussianModel | FlatScene,
-    records: Mapping[str, OpenedRecord],
-    config: VerifyConfig | None = None,
-    *,
-    instances: int = 1,
+    suspect: GaussianModel | FlatScene, records: Mapping[str, OpenedRecord], *, instances: int = 1
 ) -> list[ObjectFinding]:
     """Look for every record in a file that may hold many objects, moved, turned and scaled each in its own way.
 
     An asset is looked for `instances` times; a search that finds nothing ends the record's list. The findings come in
     the order of the records, one for each at least, and every claim counts len(records) * instances tries. A FlatScene
-    adds which of its objects the finds lie in; the search is the same. The route must be "auto" or "model".
+    adds which of its objects the finds lie in; the search is the same.
     """
-    config = config or VerifyConfig()
+    config = VerifyConfig()
     model = suspect.model if isinstance(suspect, FlatScene) else suspect
     if not len(model):
         raise InputError("the suspect model is empty")
     if not records:
         raise InputError("no record was given")
-    _check_route(config, "file; objects are")
     if instances < 1:
         raise InputError(f"an asset is looked for at least once, got instances {instances}")
     tries = count_tries(len(records), ("model",), config, places=instances)
@@ -141,9 +133,3 @@ def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ..
     counts = np.bincount(owner, minlength=len(names))
     order = np.argsort(-counts, kind="stable")
     return tuple((names[k], float(counts[k] / counts.sum())) for k in order if counts[k])
-
-
-def _check_route(config: VerifyConfig, what: str) -> None:
-    """InputError unless the configuration lets matched Gaussians be read."""
-    if config.route not in ("auto", "model"):
-        raise InputError(f"route {config.route!r} sees the whole {what} read by 'model'")

@@ -17,12 +17,14 @@ from engine.raster import prepare_view
 
 SEGMENT_SAMPLE = 40_000  # Gaussians on which the centers of segments are learnt; every Gaussian is then assigned once
 FLOATING = 2.0  # robust radii from the center beyond which a Gaussian is a floater
+COLOR_WEIGHT = 0.3  # of a unit of color (black to white) in segments, robust radii of the model
 SEGMENT_ROUNDS = 20  # Lloyd iterations; the assignment of real scenes settles within 10 to 15
 
 LEAST_WEIGHT = 0.05
 """Blending weight (pixels, summed over the views) below which a Gaussian was not really seen: less than a
 twentieth of one pixel says nothing about which side of a mask's edge it lies on."""
 
+INSIDE = 0.5  # share of its visible weight from which a Gaussian is inside a mask
 HIDDEN_NEIGHBORS = 8  # seen neighbors that decide for a Gaussian no view shows
 
 
@@ -37,23 +39,12 @@ def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
     return rows.astype(np.int64)
 
 
-def select_box(
-    model: GaussianModel, low: npt.ArrayLike, high: npt.ArrayLike, rotation: npt.ArrayLike | None = None
-) -> Bool:
-    """(N,) bool: Gaussians whose center lies in a box, faces included.
-
-    Its corners low <= high (3,) are in its own axes, scene units; `rotation` (3, 3) takes those to the scene's, about
-    the box's center.
-    """
+def select_box(model: GaussianModel, low: npt.ArrayLike, high: npt.ArrayLike) -> Bool:
+    """(N,) bool: Gaussians whose center lies in a box of corners low <= high (3,), scene units, faces included."""
     bottom, top = check_triple(low, "low"), check_triple(high, "high")
     if (bottom > top).any():
         raise InputError(f"a box needs low <= high, got {bottom.tolist()} and {top.tolist()}")
     offset = model.means.astype(np.float64) - 0.5 * (bottom + top)
-    if rotation is not None:
-        R = np.asarray(rotation, dtype=np.float64)
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-5) or np.linalg.det(R) < 0:
-            raise InputError(f"rotation of a box must be a proper (3, 3) rotation, got {R.tolist()}")
-        offset = offset @ R
     return np.asarray((np.abs(offset) <= 0.5 * (top - bottom)).all(axis=1))
 
 
@@ -63,11 +54,10 @@ def select_sphere(model: GaussianModel, center: npt.ArrayLike, radius: float) ->
     return np.asarray(np.einsum("ij,ij->i", offset, offset) <= check_positive(radius, "radius") ** 2)
 
 
-def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed: int = 0) -> Int32:
+def segment(model: GaussianModel, count: int) -> Int32:
     """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base color, the most populous first.
 
-    `color_weight` is how much a unit of color (black to white) counts, in robust radii of the model; 0 segments by
-    position alone. Segments may be empty where the model holds fewer distinct Gaussians than `count`.
+    Segments may be empty where the model holds fewer distinct Gaussians than `count`.
     """
     from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
     from scipy.spatial import cKDTree
@@ -76,7 +66,6 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
 
     if not 1 <= count <= len(model):
         raise InputError(f"segments must number 1 to {len(model)}, got {count}")
-    check_positive(color_weight, "color weight", zero=True)
     extent = measure_extent(model)
     position = (model.means.astype(np.float64) - extent.center) / extent.radius
     color = np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
@@ -84,8 +73,8 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     distance = np.linalg.norm(position, axis=1, keepdims=True)
     beyond = np.maximum(distance, FLOATING)
     position = position * np.where(distance > FLOATING, (FLOATING + np.log(beyond / FLOATING)) / beyond, 1.0)
-    features = np.concatenate([position, color_weight * color], axis=1)
-    rng = np.random.default_rng(seed)
+    features = np.concatenate([position, COLOR_WEIGHT * color], axis=1)
+    rng = np.random.default_rng(0)
     sample = features
     if len(features) > SEGMENT_SAMPLE:
         sample = features[np.sort(rng.choice(len(features), max(SEGMENT_SAMPLE, count), replace=False))]
@@ -136,30 +125,20 @@ def mask_shares(
     return np.divide(inside, total, out=np.zeros_like(total), where=total > 0), total
 
 
-def lift_masks(
-    model: GaussianModel,
-    cameras: Sequence[Camera],
-    masks: Sequence[npt.NDArray[np.generic]],
-    *,
-    threshold: float = 0.5,
-    hidden: bool = True,
-) -> Bool:
+def lift_masks(model: GaussianModel, cameras: Sequence[Camera], masks: Sequence[npt.NDArray[np.generic]]) -> Bool:
     """(N,) bool: Gaussians that masks in one or several views (see `mask_shares`) show.
 
-    The threshold, (0, 1), is the share of a Gaussian's visible weight that must lie inside: higher ones than 0.5 keep
-    the selection off the mask's edge, lower ones reach across. `hidden` Gaussians that no view shows (the inside of an
-    object, its back) follow the majority of their nearest seen neighbors in space, or are left out.
+    Half of a Gaussian's visible weight must lie inside. Gaussians that no view shows (the inside of an object, its
+    back) follow the majority of their nearest seen neighbors in space.
     """
-    if not 0 < threshold < 1:
-        raise InputError(f"threshold must lie in (0, 1), got {threshold}")
     share, weight = mask_shares(model, cameras, masks)
     seen = weight >= LEAST_WEIGHT
-    chosen = seen & (share >= threshold)
-    if hidden and chosen.any() and not seen.all():
+    chosen = seen & (share >= INSIDE)
+    if chosen.any() and not seen.all():
         from scipy.spatial import cKDTree
 
         judges = np.flatnonzero(seen)
         k = min(HIDDEN_NEIGHBORS, len(judges))
         _, near = cKDTree(model.means[judges]).query(model.means[~seen], k=k)
-        chosen[~seen] = share[judges[near.reshape(-1, k)]].mean(axis=1) >= threshold
+        chosen[~seen] = share[judges[near.reshape(-1, k)]].mean(axis=1) >= INSIDE
     return chosen

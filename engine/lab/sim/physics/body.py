@@ -35,7 +35,6 @@ class Lattice:
     """The rest shape: P points, T tetrahedra, E edges."""
 
     points: Float64  # (P, 3) at rest, scene units
-    sites: Int64  # (P, 3) the same in whole cells
     tets: Int32  # (T, 4) corners; volumes are positive at rest
     edges: Int32  # (E, 2) every edge of a tetrahedron once, sorted
     surface: Bool  # (P,) whether a point lies on the outside
@@ -125,7 +124,6 @@ def _tetrahedra(voxels: Int64, origin: Float64, cell: float) -> Lattice:
     inverse = np.linalg.inv((rest[:, 1:] - rest[:, :1]).transpose(0, 2, 1))  # columns are edges
     return Lattice(
         points=origin + cell * sites,
-        sites=sites,
         tets=tets,
         edges=edges,
         surface=used < len(cubes),
@@ -167,16 +165,12 @@ class Material:
 
     compliance: float = 2e-5  # of the edges: 1 / Young's modulus, 1/Pa, at least 0. Whatever the resolution.
     volume_compliance: float = 2e-5  # of the tetrahedra's volumes: 1 / bulk modulus, 1/Pa, at least 0
-    # how fast points are drawn to the best rigid placement of their cluster, 1/s; 0 matches no shape
-    shape_rate: float = 0.0
-    # side of a cluster in cells; 0 makes one cluster of the whole body, so that a high rate makes it rigid
-    shape_cluster: int = 0
     # of the edges, Pa s, at least 0: takes energy from the rate of strain, not from rigid motion. Strain dies
     # away within about compliance * viscosity seconds where nothing swings.
     viscosity: float = 200.0
 
     def __post_init__(self) -> None:
-        for name in ("compliance", "volume_compliance", "shape_rate", "shape_cluster", "viscosity"):
+        for name in ("compliance", "volume_compliance", "viscosity"):
             check_positive(getattr(self, name), f"{name} of a material", zero=True)
 
 
@@ -293,7 +287,7 @@ CONTACT = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """P points, E edges, T tetrahedra and C clusters of B bodies; units as in `Body`."""
+    """P points, E edges and T tetrahedra of B bodies; units as in `Body`."""
 
     positions: Float64  # (P, 3); a copy, to be moved in place
     velocities: Float64  # (P, 3); a copy, too
@@ -312,9 +306,6 @@ class Assembly:
     tets: Int32  # (T, 4)
     volumes: Float64  # (T,) cubic scene units
     tet_compliance: Float64  # (T,) m^3/Pa
-    cluster_members: Int64  # (M,)
-    cluster_starts: Int64  # (C + 1,)
-    cluster_rates: Float64  # (C,) 1/s; clusters of bodies that match no shape are left out
 
 
 def assemble(bodies: Sequence[Body]) -> Assembly:
@@ -326,18 +317,13 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
     counts, tets = [len(b.positions) for b in bodies], [len(b.lattice.tets) for b in bodies]
     firsts = np.cumsum([0, *counts]).astype(np.int64)
     placed = list(zip(firsts[:-1], bodies, strict=True))
-    edge_compliance, edge_damping, members, starts, rates = [], [], [], [0], []
-    for first, body in placed:
+    edge_compliance, edge_damping = [], []
+    for body in bodies:
         lattice = body.lattice
         ends = lattice.points[lattice.edges]  # (E, 2, 3)
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         edge_compliance.append(body.material.compliance * lengths / lattice.cell**2)
         edge_damping.append(body.material.viscosity * lattice.cell**2 / lengths)
-        if body.material.shape_rate > 0:
-            for cluster in clusters(body):
-                members.append(first + cluster)
-                starts.append(starts[-1] + len(cluster))
-                rates.append(body.material.shape_rate)
 
     def spread(values: Sequence[float], sizes: Sequence[int]) -> Float64:
         return np.repeat(np.asarray(values, dtype=np.float64), sizes)
@@ -360,18 +346,4 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
         tets=np.concatenate([b.lattice.tets + np.int32(first) for first, b in placed]),
         volumes=spread([b.lattice.tet_volume for b in bodies], tets),
         tet_compliance=spread([b.material.volume_compliance * b.lattice.tet_volume for b in bodies], tets),
-        cluster_members=np.concatenate(members) if members else np.zeros(0, dtype=np.int64),
-        cluster_starts=np.array(starts, dtype=np.int64),
-        cluster_rates=np.array(rates, dtype=np.float64),
     )
-
-
-def clusters(body: Body) -> list[Int64]:
-    """Points of each shape-matching cluster: disjoint blocks of the lattice, or the whole body."""
-    side = body.material.shape_cluster
-    if side == 0:
-        return [np.arange(len(body.positions))]
-    blocks = body.lattice.sites // side
-    _, label = np.unique(blocks, axis=0, return_inverse=True)
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)

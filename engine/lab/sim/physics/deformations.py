@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
+from engine.lab.sim.vectors import check_triple
 from engine.model import Float64, GaussianModel
 
 REACH = 2.0  # Gaussians within this many robust radii of the center say how long the body is
@@ -30,12 +31,11 @@ class Axes:
     length: float  # of the body along h, scene units
 
 
-def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:
-    """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the center.
+def longest_axis(model: GaussianModel, toward: npt.ArrayLike | None = None) -> Axes:
+    """The body's frame: h along the coordinate axis in which it is longest; 98 % of the Gaussians nearby are in it.
 
-    `axis` is the direction of h, by default the coordinate axis along which the model is longest; `toward` that of v,
-    of which the part across the axis counts, by default the next coordinate axis. InputError if the model is empty, or
-    the directions are not finite, zero or parallel.
+    `toward` is the direction of v, of which the part across the axis counts, by default the next coordinate axis.
+    InputError if the model is empty, or that direction is not finite, zero or along the axis.
     """
     from engine.flows.views.camera_rig import measure_extent
 
@@ -43,13 +43,7 @@ def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward
         raise InputError("a deformation needs a model that is not empty")
     extent = measure_extent(model)
     longest = int(np.argmax(extent.axes))
-    h = np.eye(3)[longest] if axis is None else np.asarray(axis, dtype=np.float64)
-    v = np.eye(3)[(int(np.argmax(np.abs(h))) + 1) % 3] if toward is None else np.asarray(toward, np.float64)
-    if h.shape != (3,) or v.shape != (3,) or not (np.isfinite(h).all() and np.isfinite(v).all()):
-        raise InputError(f"directions of a deformation must be three finite numbers, got {h}, {v}")
-    if not np.linalg.norm(h) > 0:
-        raise InputError("the axis of a deformation is zero")
-    h = h / np.linalg.norm(h)
+    h, v = np.eye(3)[longest], np.eye(3)[(longest + 1) % 3] if toward is None else check_triple(toward, "direction")
     across = v - (v @ h) * h
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(v):
         raise InputError(f"direction {v} does not lie across the axis {h}")
@@ -61,27 +55,25 @@ def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward
     return Axes(center, np.stack([h, v, np.cross(h, v)]), max(float(high - low), 1e-6 * extent.radius))
 
 
-def bend(
-    model: GaussianModel, degrees: float, *, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None
-) -> GaussianModel:
+def bend(model: GaussianModel, degrees: float, *, toward: npt.ArrayLike | None = None) -> GaussianModel:
     """Bend the body to an arc; its ends then stand at `degrees` to each other.
 
     The middle stays where it is, the neutral fibre keeps its length. For the body's length and where it bends to see
     `longest_axis`.
     """
-    return _deform(model, bend_points, _radians(degrees), axis, toward)
+    return _deform(model, bend_points, _radians(degrees), toward)
 
 
-def twist(model: GaussianModel, degrees: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
+def twist(model: GaussianModel, degrees: float) -> GaussianModel:
     """Turn the two ends of the body against each other by `degrees` about its axis; the middle stays as it is."""
-    return _deform(model, twist_points, _radians(degrees), axis)
+    return _deform(model, twist_points, _radians(degrees))
 
 
-def squash(model: GaussianModel, share: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
+def squash(model: GaussianModel, share: float) -> GaussianModel:
     """Press the body together along its axis by `share` of its length, [0, 1); its middle bulges, its volume stays."""
     if not 0 <= share < 1:
         raise InputError(f"a squash takes a share of the length in [0, 1), got {share}")
-    return _deform(model, barrel_points, 1.0 - share, axis)
+    return _deform(model, barrel_points, 1.0 - share)
 
 
 def bend_points(points: Float64, length: float, angle: float) -> tuple[Float64, Float64]:
@@ -139,15 +131,11 @@ def barrel_points(points: Float64, length: float, factor: float) -> tuple[Float6
 
 
 def _deform(
-    model: GaussianModel,
-    points_map: PointMap,
-    strength: float,
-    axis: npt.ArrayLike | None,
-    toward: npt.ArrayLike | None = None,
+    model: GaussianModel, points_map: PointMap, strength: float, toward: npt.ArrayLike | None = None
 ) -> GaussianModel:
     from engine.lab.sim.physics.deforming import deform_model  # kernels: the list of attacks only passes by
 
-    axes = longest_axis(model, axis, toward)
+    axes = longest_axis(model, toward)
     local = (model.means.astype(np.float64) - axes.center) @ axes.frame.T  # (N, 3) h, v, w
     moved, gradients = points_map(local, axes.length, strength)  # (N, 3), (N, 3, 3)
     means = moved @ axes.frame + axes.center

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.lab.sim.attack import check_positive
@@ -84,12 +83,6 @@ class World:
             raise InputError(f"a step has at least one substep, got {self.substeps}")
 
 
-def ground(height: float, up: npt.ArrayLike = (0.0, 1.0, 0.0), friction: float = 0.5) -> Plane:
-    """Level ground at a height along `up`."""
-    direction = check_triple(up, "up")
-    return Plane(height * direction / max(float(np.linalg.norm(direction)), 1e-300), direction, friction=friction)
-
-
 def step(world: World, dt: float = STEP) -> World:
     """The world `dt` > 0 seconds later: all bodies, and planes and spheres that move.
 
@@ -134,10 +127,6 @@ def _substep(world: World, parts: Assembly, x: Float64, v: Float64, h: float, nu
     constraints.measure_spins(x, x_prev, parts.masses, parts.firsts, spins)
     constraints.project_distances(x, w, parts.edges, parts.rest, parts.edge_compliance, h, backward)  # 3
     constraints.project_volumes(x, w, parts.tets, parts.volumes, parts.tet_compliance, h, backward)
-    if len(parts.cluster_rates):
-        constraints.match_shapes(
-            x, w, parts.masses, parts.rest, parts.cluster_members, parts.cluster_starts, parts.cluster_rates, h
-        )
     constraints.restore_spins(x, x_prev, parts.masses, parts.firsts, parts.free, spins, lost)
     if world.collide:  # 4
         pairs = contacts.find_pairs(x, parts.rest, parts.surface, parts.body, parts.radii, parts.reach)
@@ -164,7 +153,7 @@ class Energy:
 
     kinetic: float
     potential: float  # in the field of gravity, zero at the origin
-    elastic: float  # of edges, volumes and clusters; what is infinitely stiff stores none
+    elastic: float  # of edges and volumes; what is infinitely stiff stores none
 
     @property
     def total(self) -> float:
@@ -185,22 +174,9 @@ def energy(world: World) -> Energy:
     corners = x[parts.tets]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
     elastic += _stored(volumes - parts.volumes, parts.tet_compliance)
-    for number, rate in enumerate(parts.cluster_rates):
-        members = parts.cluster_members[parts.cluster_starts[number] : parts.cluster_starts[number + 1]]
-        away = _away_from_rigid(x[members], parts.rest[members], m[members])
-        elastic += 0.5 * rate * rate * float(m[members] @ (away * away).sum(axis=1))
     return Energy(kinetic, potential, elastic)
 
 
 def _stored(violations: Float64, compliance: Float64) -> float:
     soft = compliance > 0
     return 0.5 * float((violations[soft] ** 2 / compliance[soft]).sum())
-
-
-def _away_from_rigid(x: Float64, rest: Float64, masses: Float64) -> Float64:
-    """(M, 3) from each point of a cluster to its place in the best rigid placement (Kabsch)."""
-    total = masses.sum()
-    center, rest_center = masses @ x / total, masses @ rest / total
-    u, _, vt = np.linalg.svd((x - center).T @ (masses[:, None] * (rest - rest_center)))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return np.asarray(center + (rest - rest_center) @ turn.T - x)

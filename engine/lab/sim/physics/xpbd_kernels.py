@@ -22,7 +22,6 @@ import math
 import numpy as np
 
 from engine.kernels.jit import inlined, kernel
-from engine.lab.sim.physics.decompositions import rotation_part
 
 COLLAPSED = 1e-9  # an edge shorter than this share of its rest length has lost its direction and takes that of rest
 FLAT = 1e-9  # determinant, as a share of the cubed trace, below which a body's inertia counts as that of a line
@@ -136,49 +135,6 @@ def damp_velocities(x, v, w, edges, damping, h, backward):
         rate = dx * (v[i, 0] - v[j, 0]) + dy * (v[i, 1] - v[j, 1]) + dz * (v[i, 2] - v[j, 2])
         pull = -rate / square * (1.0 - math.exp(-damping[e] * weight * h)) / weight
         _part(v, i, j, w[i] * pull, w[j] * pull, dx, dy, dz)
-
-
-@kernel(allocates=True)
-def match_shapes(x, w, masses, rest, members, starts, rates, h):
-    """Draw the points of each cluster to its best rigid placement (Mueller et al., SIGGRAPH 2005).
-
-    Cluster c holds points members[starts[c]:starts[c + 1]]; each point has the energy
-    rate^2 m |x - goal|^2 / 2, so that all points of a cluster move by the same share of their way and linear
-    and angular momentum stay.
-    """
-    moment, turn = np.empty((3, 3)), np.empty((3, 3))
-    center, rest_center = np.empty(3), np.empty(3)
-    for cluster in range(len(starts) - 1):
-        pull = rates[cluster] * h
-        share = pull * pull / (1.0 + pull * pull)
-        total = 0.0
-        center[:] = 0.0
-        rest_center[:] = 0.0
-        for at in range(starts[cluster], starts[cluster + 1]):
-            i = members[at]
-            total += masses[i]
-            for k in range(3):
-                center[k] += masses[i] * x[i, k]
-                rest_center[k] += masses[i] * rest[i, k]
-        for k in range(3):
-            center[k] /= total
-            rest_center[k] /= total
-        moment[:] = 0.0
-        for at in range(starts[cluster], starts[cluster + 1]):
-            i = members[at]
-            for k in range(3):
-                for l in range(3):
-                    moment[k, l] += masses[i] * (x[i, k] - center[k]) * (rest[i, l] - rest_center[l])
-        rotation_part(moment, turn)
-        for at in range(starts[cluster], starts[cluster + 1]):
-            i = members[at]
-            if w[i] <= 0.0:
-                continue
-            for k in range(3):
-                goal = center[k]
-                for l in range(3):
-                    goal += turn[k, l] * (rest[i, l] - rest_center[l])
-                x[i, k] += share * (goal - x[i, k])
 
 
 @kernel

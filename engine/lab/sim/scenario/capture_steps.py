@@ -4,17 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.compress.levels_of_detail import merge_pairs
+from engine.errors import InputError
 from engine.flows.views.camera_rig import UP, Extent, direction, measure_extent
 from engine.lab.points.trajectory import Trajectory
 from engine.lab.sim.attack_cost import model_cost
 from engine.lab.sim.capture.lidar import Lidar, scan_model
-from engine.lab.sim.capture.lod import half_precision, level_of_quality, levels_of_detail
 from engine.lab.sim.capture.pose_estimation import odometry
 from engine.lab.sim.capture.scans import scans_to_model
 from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
 from engine.lab.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
-from engine.model import Float64
+from engine.model import ATTRIBUTES, Float64, GaussianModel
 from engine.numerics.similarity import rotation_to_quaternion, transform_model
 
 KINDS: dict[str, StepKind] = {}
@@ -22,6 +23,7 @@ KINDS: dict[str, StepKind] = {}
 AROUND, INSIDE = 2.0, 0.3  # radii from the middle at which the scanner goes round an object, or within a room
 LOWEST, HIGHEST = -5.0, 35.0  # elevations between which it goes up and down on its way, degrees
 FARTHEST = 10.0  # range of the scanner, radii
+LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
 def scanning_path(extent: Extent, stops: int) -> Trajectory:
@@ -85,25 +87,19 @@ def _anchored(found: Trajectory, path: Trajectory) -> Trajectory:
     return Trajectory(matrices[:, :3, 3], rotation_to_quaternion(matrices[:, :3, :3]), path.times)
 
 
-@step(KINDS, "level", "a level of detail by what each Gaussian contributes: share, or psnr in dB; merge, on")
+@step(KINDS, "level", "a level of detail as `mark3dgs convert` makes them: share, on")
 @dataclass(frozen=True)
 class Level:
-    """Fewer Gaussians: a share of them, or the fewest that keep the worst view at `psnr`."""
+    """Neighbors merged, pair after pair, until a share of the Gaussians is left."""
 
     share: float = given(Table.number, 0.25, 1e-6, 1.0)
-    psnr: float = given(Table.number, 0.0, 0.0, 100.0)  # dB; 0: by share
-    merge: bool = given(Table.flag, True)  # into the nearest that stays, or dropped
     on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
         name, model = world.target(self.on)
-        if self.psnr:
-            level = level_of_quality(model, self.psnr, merge=self.merge)
-        else:
-            (level,) = levels_of_detail(model, (self.share,), merge=self.merge)
-        note = f"{len(level.model)} of {len(model)} Gaussians, worst view {level.psnr_db:.1f} dB"
-        cost = model_cost(model, level.model, views=COST_VIEWS, size=COST_SIZE)
-        return Outcome(world.put(name, level.model), notes=(note,), cost=cost)
+        level = merge_pairs(model, self.share, surface=True)
+        cost = model_cost(model, level, views=COST_VIEWS, size=COST_SIZE)
+        return Outcome(world.put(name, level), notes=(f"{len(level)} of {len(model)} Gaussians",), cost=cost)
 
 
 @step(KINDS, "float16", "a viewer keeps it in half precision: on")
@@ -118,3 +114,20 @@ class Float16:
         half = half_precision(model)
         cost = model_cost(model, half, views=COST_VIEWS, size=COST_SIZE)
         return Outcome(world.put(name, half), cost=cost)
+
+
+def half_precision(model: GaussianModel) -> GaussianModel:
+    """Every value rounded to float16 and back, quaternions brought to unit length again.
+
+    No file format read here holds half floats (SPZ and SOG quantize in their own way): this is what happens in graphics
+    memory, and in files of viewers that dump it. Centers keep 11 bits, so that a scene far from its origin shows steps.
+    InputError if a center or a coefficient is too large for float16 (65,504).
+    """
+    for name in ("means", "sh"):
+        array = getattr(model, name)
+        rows = np.flatnonzero((np.abs(array) > LARGEST_HALF).reshape(len(array), -1).any(axis=1))
+        if len(rows):
+            raise InputError(f"{name}: row {rows[0]} is too large for float16: {array[rows[0]].tolist()}")
+    half = model.with_(**{name: getattr(model, name).astype(np.float16) for name in ATTRIBUTES})
+    quats = half.quats.astype(np.float64)
+    return half.with_(quats=quats / np.linalg.norm(quats, axis=1, keepdims=True))

@@ -27,7 +27,7 @@ from engine.lab.sim.edits.edit import EditTrack, place
 from engine.lab.sim.scenario.state import Clip, Tracked, World
 from engine.lab.sim.scenario.tables import Table, given
 from engine.lab.sim.variants.codebooks import make_codebook
-from engine.lab.sim.variants.generative import generate_from_views, marking
+from engine.lab.sim.variants.generative import FEW_GAUSSIANS, generate_from_views, mark_generated
 from engine.lab.sim.variants.hybrid import HybridPart
 from engine.lab.sim.variants.synthetic import fit_spacetime, make_discs, set_in_motion
 from engine.model import ATTRIBUTES, GaussianModel
@@ -273,7 +273,7 @@ def _mark_part(unmarked: Unmarked, part: Part, key: OwnerKey, progress: Progress
 def _mark_at_birth(grown: GaussianModel, key: OwnerKey, part: Part) -> _Made:
     """Through the generator's hook: nothing leaves it without a mark, and the record is there before."""
     with tempfile.TemporaryDirectory() as folder:
-        marked = marking(key, folder, bits=part.bits)(lambda: grown)()
+        marked = mark_generated(grown, key, folder, bits=part.bits, config=FEW_GAUSSIANS)
         (record,) = Path(folder).glob("*.record")
         return _Made(marked, grown, open_record(record.read_bytes(), key, MADE_FIRST))
 

@@ -9,9 +9,8 @@ import functools
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast, overload
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -36,69 +35,42 @@ FEW_GAUSSIANS = profile("balanced", psnr_db=44.0, ssim=0.9965, quantize=HvqConfi
 usual, which is still far below what separates a generated model from what it was made after."""
 
 
-@dataclass(frozen=True)
-class Marking:
-    """Marks what a generator returns; see `marking`."""
+def mark_generated(
+    result: Generated, key: OwnerKey, records: str | os.PathLike[str], *, bits: int = 32, config: EmbedConfig
+) -> Generated:
+    """What a generator returns, marked: a model, or the path of a file, which the marked one replaces in its format.
 
-    key: OwnerKey
-    records: str | os.PathLike[str]
-    bits: int
-    config: EmbedConfig
-
-    @overload
-    def __call__(self, target: Generated) -> Generated: ...
-    @overload
-    def __call__(self, target: Callable[P, Generated]) -> Callable[P, Generated]: ...
-
-    def __call__(
-        self, target: GaussianModel | str | Path | Callable[P, Generated]
-    ) -> GaussianModel | str | Path | Callable[P, Generated]:
-        """Mark a model or file, or wrap a function that returns one."""
-        if isinstance(target, GaussianModel | str | Path):
-            return self._mark(target)
-        if not callable(target):
-            raise InputError(f"a model, a path or a function is marked, got {type(target).__name__}")
-        generate = target
-
-        @functools.wraps(generate)
-        def marked(*args: P.args, **kwargs: P.kwargs) -> Generated:
-            return cast(Generated, self._mark(generate(*args, **kwargs)))  # the same type comes back
-
-        return marked
-
-    def _mark(self, result: GaussianModel | str | Path) -> GaussianModel | str | Path:
-        if isinstance(result, GaussianModel):
-            return self._embed(result, hashlib.sha256(encode_model(result, "ply")).hexdigest())
-        if not isinstance(result, str | Path):
-            raise InputError(f"the generator returned {type(result).__name__}, no model and no path")
-        loaded = read_model(result)
-        write_model(self._embed(loaded.model, loaded.sha256), result, loaded.format)
-        return result
-
-    def _embed(self, model: GaussianModel, digest: str) -> GaussianModel:
-        """Mark, and put the record away before anything marked leaves."""
-        result = embed(model, self.key, original_sha256=digest, bits=self.bits, config=self.config)
-        folder = Path(self.records)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made: {error.strerror or error}") from None
-        name = f"{result.record.header.record_id}.record"
-        write_whole(folder / name, [result.record.to_bytes(self.key)])
-        return result.model
+    The folder `records` gets its record, named by the record id, before anything marked leaves. CapacityError if the
+    model cannot carry the message; a file is then left as the generator wrote it.
+    """
+    given: GaussianModel | str | Path = result
+    if isinstance(given, GaussianModel):
+        model, digest = given, hashlib.sha256(encode_model(given, "ply")).hexdigest()
+    elif isinstance(given, str | Path):
+        loaded = read_model(given)
+        model, digest = loaded.model, loaded.sha256
+    else:
+        raise InputError(f"the generator returned {type(result).__name__}, no model and no path")
+    made = embed(model, key, original_sha256=digest, bits=bits, config=config)
+    folder = Path(records)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror or error}") from None
+    write_whole(folder / f"{made.record.header.record_id}.record", [made.record.to_bytes(key)])
+    if isinstance(given, GaussianModel):
+        return made.model  # type: ignore[return-value]  # the same type comes back
+    write_model(made.model, given, loaded.format)
+    return result
 
 
 def marking(
     key: OwnerKey, records: str | os.PathLike[str], *, bits: int = 32, config: EmbedConfig | None = None
-) -> Marking:
-    """A mark at the end of generation: nothing leaves the generator without one.
+) -> Callable[[Callable[P, Generated]], Callable[P, Generated]]:
+    """A mark at the end of generation: a decorator after which nothing leaves a generator without one.
 
-    It is a decorator for a generator that returns a GaussianModel or a path; or a callback, called with either. A
-    path's file is replaced by the marked one, in its own format; its record is there before. The folder `records` gets
-    one record for each generated model, named by its record id; the config is `FEW_GAUSSIANS` where not given.
-
-    CapacityError on marking, if the model cannot carry the message. A file is left as the generator wrote it, so that
-    nothing is lost; a generator that returns a model in memory may want to write it first.
+    See `mark_generated`; the config is `FEW_GAUSSIANS` where not given. A generator that returns a model in memory may
+    want to write it first: what cannot be marked is lost.
 
     Examples
     --------
@@ -109,9 +81,8 @@ def marking(
     >>> from engine.lab.sim.variants.generative import FEW_GAUSSIANS, marking
     >>> from engine.watermark.keys import OwnerKey
     >>> key = OwnerKey(bytes(range(32)))  # a real one comes from `mark3dgs keygen`
-    >>> records = tempfile.mkdtemp()
     >>> quick = replace(FEW_GAUSSIANS, views=4, view_size=256, landmark_views=0)
-    >>> @marking(key, records, bits=16, config=quick)
+    >>> @marking(key, tempfile.mkdtemp(), bits=16, config=quick)
     ... def generate(seed):
     ...     rng = np.random.default_rng(seed)
     ...     ball = rng.standard_normal((2000, 3))
@@ -119,11 +90,19 @@ def marking(
     ...     quats = np.tile([1.0, 0, 0, 0], (2000, 1))
     ...     color = 0.5 * np.sin(6 * ball)[:, None]
     ...     return GaussianModel(ball, np.full((2000, 3), -3.5), quats, np.full(2000, 2.0), color)
-    >>> marked = generate(seed=3)
-    >>> len(marked)
+    >>> len(generate(seed=3))
     2000
     """
-    return Marking(key, records, bits, config or FEW_GAUSSIANS)
+
+    def mark(generate: Callable[P, Generated]) -> Callable[P, Generated]:
+        @functools.wraps(generate)
+        def marked(*args: P.args, **kwargs: P.kwargs) -> Generated:
+            made = generate(*args, **kwargs)
+            return mark_generated(made, key, records, bits=bits, config=config or FEW_GAUSSIANS)
+
+        return marked
+
+    return mark
 
 
 def generate_from_views(

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.decision import VerifyConfig
 from engine.lab.sim.edits.objects import FlatScene, Scene
 from engine.lab.sim.edits.pieces import ObjectFinding, verify_objects
 from engine.model import GaussianModel
@@ -52,7 +51,6 @@ def verify_hybrid(
     suspect: GaussianModel | FlatScene,
     records: Mapping[str, OpenedRecord],
     moving: Mapping[str, tuple[Moving, float]] | None = None,
-    config: VerifyConfig | None = None,
     *,
     instances: int = 1,
 ) -> list[ObjectFinding]:
@@ -70,4 +68,4 @@ def verify_hybrid(
     at_their_time = {
         name: move_record(opened, *moving[name]) if name in moving else opened for name, opened in records.items()
     }
-    return verify_objects(suspect, at_their_time, config, instances=instances)
+    return verify_objects(suspect, at_their_time, instances=instances)

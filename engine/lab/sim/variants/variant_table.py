@@ -26,7 +26,7 @@ from engine.formats import encode_model, read_model
 from engine.formats.file_writing import write_whole
 from engine.lab.sim.attacks import image_attack, model_attack
 from engine.lab.sim.multiscale_ssim import ms_ssim_distance
-from engine.lab.sim.variants.generative import marking, write_raw_ply
+from engine.lab.sim.variants.generative import mark_generated, write_raw_ply
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
@@ -299,7 +299,7 @@ def measure_generated(
     write_whole(path, write_raw_ply(generated, seed=seed))
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
-        marking(key, folder / "records", bits=BITS, config=finer)(path)
+        mark_generated(path, key, folder / "records", bits=BITS, config=finer)
         (record,) = (folder / "records").glob("*.record")
         return read_model(path).model, open_record(record.read_bytes(), key, MADE_FIRST)
 

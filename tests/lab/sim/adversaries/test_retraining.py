@@ -15,9 +15,8 @@ from engine.flows.records.opened_record import open_record
 from engine.flows.verify.search import verify_model
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.lab.evaluate.bench.training import read_retrained
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
-from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain, retraining_steps
+from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain
 from engine.lab.sim.capture.trainer import TrainConfig
 from engine.model import Camera, GaussianModel
 from engine.numerics.similarity import transform_model
@@ -79,7 +78,10 @@ def test_trained_on_unmarked_renders_nothing_is_claimed(scene: MarkedScene, came
 
 
 def test_training_pays_and_is_reproducible(scene: MarkedScene, cameras: list[Camera]) -> None:
-    stages = dict(retraining_steps(scene.marked, cameras[:4], (1, 30), CONFIG))
+    stages = {
+        steps: retrain(scene.marked, cameras[:4], replace(CONFIG, train=replace(CONFIG.train, steps=steps)))
+        for steps in (1, 30)
+    }
     losses = {steps: quality_lost(model, scene.marked, cameras[4:6]) for steps, model in stages.items()}
     assert losses[30]["psnr_to_stolen"] > losses[1]["psnr_to_stolen"] + 1
     assert losses[30]["lost_db"] < losses[1]["lost_db"]
@@ -88,27 +90,8 @@ def test_training_pays_and_is_reproducible(scene: MarkedScene, cameras: list[Cam
         np.testing.assert_array_equal(getattr(again, name), getattr(stages[30], name))
 
 
-def test_random_points_know_nothing_of_the_surface(scene: MarkedScene, cameras: list[Camera]) -> None:
-    short = replace(CONFIG, train=replace(CONFIG.train, steps=1))
-    on, off = (retrain(scene.marked, cameras[:3], replace(short, start=start)) for start in ("depth", "random"))
-    losses = [quality_lost(model, scene.marked, cameras[3:5])["psnr_to_stolen"] for model in (on, off)]
-    assert losses[0] > losses[1] + 1
-
-
-@pytest.mark.long
-def test_bench_gives_a_row_for_each_route(scene: MarkedScene) -> None:
-    rows = list(read_retrained(scene, views=(3,), stops=(5,), size=96, config=CONFIG))
-    assert [row["route"] for row in rows] == ["render", "image"]
-    assert rows[0]["views"] == 3
-    assert rows[0]["verdict"] != "marked"  # after five steps there is nothing to see yet
-
-
 def test_bad_requests_are_refused(scene: MarkedScene, cameras: list[Camera]) -> None:
     with pytest.raises(InputError, match="camera"):
         retrain(scene.marked, [])
     with pytest.raises(InputError, match="points"):
         RetrainConfig(points=3)
-    with pytest.raises(InputError, match="start"):
-        RetrainConfig(start="photos")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="rising"):
-        next(retraining_steps(scene.marked, cameras, (5, 5)))

@@ -31,7 +31,8 @@ def room_points(count: int = 12000, seed: int = 0) -> tuple[Float64, Float64]:
 
 
 def room(count: int = 40000) -> GaussianModel:
-    return flat_kernels_from_points(*room_points(count), size=1.2)
+    model = flat_kernels_from_points(*room_points(count))
+    return model.with_(log_scales=model.log_scales + np.float32(np.log(1.2)))
 
 
 def walk(count: int, times: bool = True) -> Trajectory:

@@ -9,8 +9,9 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.points.cloud import PointCloud
+from engine.lab.sim.capture import scans
 from engine.lab.sim.capture.capture_kernels import flat_kernels_from_points
-from engine.lab.sim.capture.scans import CloudConfig, drop_strays, points_to_model, thin_voxels, typical_spacing
+from engine.lab.sim.capture.scans import drop_strays, points_to_model, thin_voxels, typical_spacing
 from engine.numerics.similarity import quaternion_to_rotation
 from tests.formats.point_files import las, ply
 from tests.lab.sim.capture.rooms import room_points
@@ -79,15 +80,13 @@ def test_flat_kernels_lie_on_the_surface() -> None:
     rng = np.random.default_rng(2)
     normal = rng.standard_normal((4000, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    model = flat_kernels_from_points(5.0 * normal, np.full((4000, 3), 0.5), size=1.0)
+    model = flat_kernels_from_points(5.0 * normal, np.full((4000, 3), 0.5))
     third = quaternion_to_rotation(model.quats)[:, :, 2]
     assert np.median(np.abs((third * normal).sum(axis=1))) > 0.99
     own_radius = np.sqrt(4 * np.pi * 25 / 4000 / np.pi)  # of the disc that a point has for itself
     wide = np.sqrt(model.scales[:, 0] * model.scales[:, 1])
     assert np.median(wide) == pytest.approx(own_radius, rel=0.15)
     assert np.median(model.scales[:, 2] / wide) < 0.15
-    half = flat_kernels_from_points(5.0 * normal, np.full((4000, 3), 0.5), size=0.5)
-    np.testing.assert_allclose(half.log_scales, model.log_scales - np.log(2.0), atol=1e-5)
 
 
 def test_flat_kernels_of_points_in_one_place_and_on_a_line() -> None:
@@ -96,48 +95,42 @@ def test_flat_kernels_of_points_in_one_place_and_on_a_line() -> None:
     model = flat_kernels_from_points(points, np.full((30, 3), 0.5))
     assert np.isfinite(model.log_scales).all()
     np.testing.assert_allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-6)
-    with pytest.raises(InputError, match="neighbors is 2"):
-        flat_kernels_from_points(points, np.full((30, 3), 0.5), neighbors=2)
 
 
-def test_a_cloud_on_a_map_grid_gets_an_origin(tmp_path: Path) -> None:
+def test_a_cloud_on_a_map_grid_gets_an_origin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """UTM coordinates: float32 would put the points on a lattice of half a metre."""
+    monkeypatch.setattr(scans, "drop_strays", lambda cloud: cloud)
     points, colors = room_points(800)
     points = np.round((points + np.array([500_000.0, 5_400_000.0, 300.0])) * 8) / 8
     file = tmp_path / "town.las"
     file.write_bytes(las(points, np.round(255 * colors).astype(np.uint8)))
-    made = points_to_model(file, config=CloudConfig(clean=False))
+    made = points_to_model(file)
     np.testing.assert_allclose(made.model.means + made.origin, points, atol=1e-5)
     assert abs(made.origin[1] - 5_400_000.0) < 10.0
     np.testing.assert_allclose(0.5 + 0.28209479 * made.model.sh[:, 0], colors, atol=0.003)
 
 
-def test_knobs(tmp_path: Path) -> None:
+def test_as_many_points_as_a_model_has_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points, colors = room_points(2000)
     file = tmp_path / "room.ply"
     file.write_bytes(ply(points, np.round(255 * colors).astype(np.uint8)))
-    plain = points_to_model(file, config=CloudConfig(clean=False))
-    assert len(plain.model) == len(points)
+    plain = points_to_model(file)
+    assert 0.97 * len(points) < len(plain.model) <= len(points)
     assert (plain.origin == 0).all()
+    assert plain.voxel == 0
     assert plain.model.opacities.min() == pytest.approx(0.95)
-    few = points_to_model(file, config=CloudConfig(most=500))
+    monkeypatch.setattr(scans, "MOST", 500)
+    few = points_to_model(file)
     assert 100 < len(few.model) <= 500
     assert few.voxel > 0
-    coarse = points_to_model(file, config=CloudConfig(voxel=1.0, clean=False))
-    assert len(coarse.model) < 300
-    round_ones = points_to_model(file, config=CloudConfig(kernels="round", clean=False))
-    assert np.ptp(round_ones.model.log_scales, axis=1).max() == 0.0
-    assert round_ones.model.opacities.max() == pytest.approx(0.1)
-    for wrong in ({"most": 3}, {"kernels": "square"}):
-        with pytest.raises(InputError, match=str(next(iter(wrong.values())))):
-            CloudConfig(**wrong)  # type: ignore[arg-type]
 
 
-def test_grey_by_intensity_where_there_are_no_colors(tmp_path: Path) -> None:
+def test_grey_by_intensity_where_there_are_no_colors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scans, "drop_strays", lambda cloud: cloud)
     points, _ = room_points(400)
     file = tmp_path / "grey.las"
     file.write_bytes(las(points, format=1))
-    made = points_to_model(file, config=CloudConfig(clean=False))
+    made = points_to_model(file)
     assert made.colors_from == "intensity"
     shades = 0.5 + 0.28209479 * made.model.sh[:4, 0]  # intensities 0, 7, 250, 65
     np.testing.assert_allclose(shades, np.repeat([[0.0], [7 / 250], [1.0], [65 / 250]], 3, axis=1), atol=0.01)

@@ -28,14 +28,14 @@ def test_against_the_definition() -> None:
     assert (model.quats == [1, 0, 0, 0]).all()
 
 
-def test_bytes_opacity_and_size() -> None:
+def test_bytes_and_opacity() -> None:
     points, colors = cloud()
     shades = np.round(colors * 255).astype(np.uint8)
     plain, other = kernels_from_points(points, shades / 255.0), kernels_from_points(points, shades)
     np.testing.assert_allclose(plain.sh, other.sh, atol=1e-6)
-    solid = kernels_from_points(points, colors, opacity=0.9, size=0.5)
+    solid = kernels_from_points(points, colors, opacity=0.9)
     np.testing.assert_allclose(solid.opacities, 0.9, rtol=1e-5)
-    np.testing.assert_allclose(solid.scales * 2, plain.scales, rtol=1e-5)
+    np.testing.assert_array_equal(solid.scales, plain.scales)
 
 
 def test_points_at_one_place_have_a_size() -> None:
@@ -64,5 +64,3 @@ def test_refusals(change, message: str) -> None:
 def test_refused_options() -> None:
     with pytest.raises(InputError, match=r"opacity is 1\.0"):
         kernels_from_points(*cloud(), opacity=1.0)
-    with pytest.raises(InputError, match="size is 0"):
-        kernels_from_points(*cloud(), size=0)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.lab.sim.attacks import model_attack
-from engine.lab.sim.edits.objects import BoxTree, FlatScene, Scene, model_box
+from engine.lab.sim.edits.objects import FlatScene, Scene, Volume, model_box
 from engine.lab.sim.edits.pieces import verify_objects
 from engine.model import Float64, GaussianModel
 from engine.numerics.umeyama import Similarity
@@ -30,44 +30,32 @@ def boxes(count: int, order: str) -> tuple[Float64, Float64]:
 
 @pytest.mark.parametrize("order", ["random", "sorted"])
 @pytest.mark.parametrize("count", [1, 2, 3, 300])
-def test_the_tree_answers_as_its_twin(count: int, order: str) -> None:
+def test_the_hierarchy_answers_as_its_twin(count: int, order: str) -> None:
     lows, highs = boxes(count, order)
-    tree = BoxTree.empty().inserted(lows, highs, np.arange(count))
+    volume = Volume.around(lows, highs, np.arange(count))
     rng = np.random.default_rng(1)
     hits = 0
     for _ in range(40):
         corner = rng.uniform(-1, 10, 3)
         wanted = slow.overlapping(lows, highs, corner, corner + 1)
-        assert tree.overlapping(corner, corner + 1).tolist() == wanted
+        assert volume.overlapping(corner, corner + 1) == wanted
         direction = rng.standard_normal(3) * rng.integers(0, 2, 3) + [0, 0, 1e-3]
-        items, distances = tree.along_ray(corner, direction)
+        met = volume.along_ray(corner, direction)
         entries = slow.along_ray(lows, highs, corner, direction)
-        assert dict(zip(items.tolist(), distances, strict=True)) == pytest.approx(entries)
-        assert (np.diff(distances) >= 0).all()
+        assert {item: distance for distance, item in met} == pytest.approx(entries)
+        assert met == sorted(met)
         hits += len(wanted) + len(entries)
     assert hits > 0 or count < 300
 
 
-def test_a_tree_is_a_value_and_stays_flat() -> None:
-    lows, highs = boxes(2000, "sorted")
-    tree = BoxTree.empty().inserted(lows[:1999], highs[:1999], np.arange(1999))
-    more = tree.inserted(lows[1999], highs[1999], 1999)
-    assert (len(tree), len(more)) == (1999, 2000)
-    assert 1999 not in tree.overlapping(lows[1999], highs[1999])
-    assert 1999 in more.overlapping(lows[1999], highs[1999])
-    depth = np.zeros(len(more.links), int)
-    for _ in range(100):
-        depth = np.where(more.links[:, 0] >= 0, depth[more.links[:, 0]] + 1, 0)
-    assert depth.max() <= 33  # three times that of a perfect tree; a chain would have 1999
-
-
 def test_malformed_boxes_and_rays_are_refused() -> None:
-    tree = BoxTree.empty()
-    assert not len(tree.overlapping([0] * 3, [1] * 3))
+    assert Scene().in_box([0] * 3, [1] * 3) == ()
+    assert Scene().along_ray([0] * 3, [1] * 3) == ()
+    scene = Scene().insert("ball", solid(1, 200))
     with pytest.raises(InputError, match="no box"):
-        tree.inserted([1, 1, 1], [0, 2, 2], 0)
+        scene.in_box([1, 1, 1], [0, 2, 2])
     with pytest.raises(InputError, match="no ray"):
-        tree.along_ray([0, 0, 0], [0, 0, 0])
+        scene.along_ray([0, 0, 0], [0, 0, 0])
 
 
 def test_a_box_bounds_its_gaussians() -> None:

@@ -95,7 +95,7 @@ def test_rotating_and_scaling_keep_their_pivot(model: GaussianModel, selection: 
     turned = rotate(model, selection, [0, 0, 2], 90.0).model.means[selection] - middle
     expected = (means - middle) @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     assert np.allclose(turned, expected, atol=1e-5)
-    bigger = scale(model, selection, 2.0, about=middle).model
+    bigger = scale(model, selection, 2.0).model
     assert np.allclose(bigger.means[selection] - middle, 2 * (means - middle), atol=1e-5)
     assert np.allclose(bigger.log_scales[selection] - model.log_scales[selection], np.log(2), atol=1e-5)
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from engine.formats import read_model
 from engine.lab.sim.physics.body import assemble
-from engine.lab.sim.physics.world import World
+from engine.lab.sim.physics.world import Plane, World
 from engine.model import Float64, GaussianModel
 
 DATA = Path(__file__).parents[3] / "data"
@@ -50,3 +51,8 @@ def angular_momentum(world: World) -> Float64:
     """(3,) angular momentum of all bodies about the origin."""
     parts = assemble(world.bodies)
     return np.asarray(parts.masses @ np.cross(parts.positions, parts.velocities))
+
+
+def ground(height: float, up: npt.ArrayLike = (0.0, 1.0, 0.0), friction: float = 0.5) -> Plane:
+    """Level ground at a height along `up`, a unit vector."""
+    return Plane(height * np.array(up), np.array(up), friction=friction)

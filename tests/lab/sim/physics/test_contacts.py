@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from engine.lab.sim.physics.body import Body, Material, make_body, strain_norms
-from engine.lab.sim.physics.world import Plane, Sphere, World, energy, ground, step
+from engine.lab.sim.physics.world import Plane, Sphere, World, energy, step
 from engine.model import GaussianModel
-from tests.lab.sim.physics.conftest import angular_momentum, momentum
+from tests.lab.sim.physics.conftest import angular_momentum, ground, momentum
 
 NOWHERE = np.zeros(3)
 UNDAMPED = Material(viscosity=0.0)
@@ -61,7 +61,9 @@ def slab(ball: GaussianModel, half: tuple[float, float, float]) -> GaussianModel
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 0.9])
 def test_a_slab_slides_down_a_slope_as_coulomb_says(friction: float, ball: GaussianModel) -> None:
-    body = make_body(slab(ball, (0.5, 0.15, 0.5)), resolution=6, material=Material(shape_rate=400.0))
+    body = make_body(
+        slab(ball, (0.5, 0.15, 0.5)), resolution=6, material=Material(compliance=1e-7, volume_compliance=1e-7)
+    )
     slope = np.radians(30.0)  # gravity is tilted, not the ground
     gravity = 9.81 * np.array([np.sin(slope), -np.cos(slope), 0.0])
     low = body.positions[:, 1].min()

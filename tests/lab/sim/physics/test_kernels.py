@@ -18,8 +18,8 @@ H = 1.0 / 600.0
 
 @pytest.fixture(scope="module")
 def parts(ball: GaussianModel) -> Assembly:
-    """A strained body with pins, of finite compliances and clusters."""
-    material = Material(1e-4, 2e-5, shape_rate=300.0, shape_cluster=3, viscosity=40.0)
+    """A strained body with pins, of finite compliances."""
+    material = Material(1e-4, 2e-5, viscosity=40.0)
     pinned = ball.means[:, 1] > 0.95
     return assemble([make_body(ball, resolution=4, material=material, pinned=pinned)])
 
@@ -60,48 +60,6 @@ def test_constraints(
     np.testing.assert_allclose(one, other, atol=1e-12)
     assert np.abs(one - x).max() > 1e-3
     assert (one == x)[parts.inverse_masses == 0].all()
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_shape_matching(compiled: bool, parts: Assembly, state: tuple[np.ndarray, np.ndarray]) -> None:
-    x, _ = state
-    arguments = (
-        parts.inverse_masses,
-        parts.masses,
-        parts.rest,
-        parts.cluster_members,
-        parts.cluster_starts,
-        parts.cluster_rates,
-        H,
-    )
-    assert len(parts.cluster_rates) > 4
-    np.testing.assert_array_equal(np.sort(parts.cluster_members), np.arange(len(x)))
-    # Clusters whose points lie in a plane have no unique rotation in the twin: compare what is solid.
-    solid = np.zeros(len(x), dtype=bool)
-    for low, high in zip(parts.cluster_starts, parts.cluster_starts[1:], strict=False):
-        who = parts.cluster_members[low:high]
-        solid[who] = np.linalg.matrix_rank(parts.rest[who] - parts.rest[who].mean(axis=0), tol=1e-6) == 3
-    assert solid.mean() > 0.5
-    one, other = x.copy(), x.copy()
-    (fast.match_shapes if compiled else fast.match_shapes.py_func)(one, *arguments)
-    keep = parts.cluster_members[np.repeat(_solid_clusters(parts, solid), np.diff(parts.cluster_starts))]
-    starts = np.concatenate([[0], np.cumsum(np.diff(parts.cluster_starts)[_solid_clusters(parts, solid)])])
-    slow.shapes(
-        other,
-        parts.inverse_masses,
-        parts.masses,
-        parts.rest,
-        keep,
-        starts,
-        parts.cluster_rates[_solid_clusters(parts, solid)],
-        H,
-    )
-    np.testing.assert_allclose(one[solid], other[solid], atol=1e-12)
-    assert np.abs(one - x).max() > 1e-3
-
-
-def _solid_clusters(parts: Assembly, solid: np.ndarray) -> np.ndarray:
-    return np.array([solid[parts.cluster_members[low]] for low in parts.cluster_starts[:-1]])
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -9,9 +9,9 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.sim.physics.body import Body, Material, deformation_gradients, make_body, pose, strain_norms
-from engine.lab.sim.physics.world import Plane, Sphere, World, energy, ground, step
+from engine.lab.sim.physics.world import Plane, Sphere, World, energy, step
 from engine.model import GaussianModel
-from tests.lab.sim.physics.conftest import angular_momentum, momentum
+from tests.lab.sim.physics.conftest import angular_momentum, ground, momentum
 from tests.threads import with_one_and_two_threads
 
 NOWHERE = np.zeros(3)
@@ -63,13 +63,7 @@ def test_free_fall_is_that_of_the_closed_form(body: Body) -> None:
     assert strain_norms(fallen.bodies[0]).max() < 1e-9
 
 
-MATERIALS = {
-    "soft": UNDAMPED,
-    "damped": Material(),
-    "rigid": Material(shape_rate=200.0, viscosity=0.0),
-    "clusters": Material(shape_rate=200.0, shape_cluster=3, viscosity=0.0),
-    "stiff volume": Material(volume_compliance=1e-6, viscosity=0.0),
-}
+MATERIALS = {"soft": UNDAMPED, "damped": Material(), "stiff volume": Material(volume_compliance=1e-6, viscosity=0.0)}
 
 
 @pytest.mark.parametrize("name", MATERIALS)
@@ -111,30 +105,6 @@ def test_stiffness_does_not_hang_on_the_resolution(ball: GaussianModel) -> None:
         world = World((squeezed,), gravity=NOWHERE)
         density.append(energy(world).elastic / body.masses.sum())
     assert density[0] == pytest.approx(density[1], rel=0.2)
-
-
-def test_rate_of_shape_matching_is_the_rate_of_a_spring(body: Body) -> None:
-    """With nothing else at work a stretched body swings back in a quarter of the period 2 pi / rate."""
-    limp = Material(1e3, 1e3, shape_rate=10.0, viscosity=0.0)
-    middle = center(body)
-    still = replace(body, material=limp, positions=middle + 1.1 * (body.positions - middle))
-    world = World((still,), gravity=NOWHERE, substeps=50)
-    sizes = []
-    for _ in range(12):
-        world = step(world)
-        sizes.append(np.linalg.norm(world.bodies[0].positions - middle) / np.linalg.norm(body.positions - middle))
-    crossing = np.interp(0.0, 1.0 - np.array(sizes), np.arange(1, 13) / 60.0)
-    assert crossing == pytest.approx(0.5 * np.pi / 10.0, rel=0.05)
-
-
-def test_shape_matching_stiffens_a_body(body: Body) -> None:
-    def squeezed(material: Material) -> float:
-        low = body.positions[:, 1].min()
-        world = World((replace(body, material=material),), planes=(ground(low),))
-        return float(strain_norms(run(world, 40).bodies[0]).mean())
-
-    soft = Material(compliance=3e-4, volume_compliance=1e-4, viscosity=500.0)
-    assert squeezed(replace(soft, shape_rate=300.0)) < 0.3 * squeezed(soft)
 
 
 @pytest.mark.parametrize("kind", ["one corner through its face", "mirrored", "flattened", "one point", "shuffled"])

@@ -198,12 +198,10 @@ def test_copies_are_stacked_on_what_is_below(folder: Path, world: World) -> None
     assert min(b @ UP for b in base) == pytest.approx(max(low @ UP, high @ UP), abs=1e-3)
 
 
-@pytest.mark.parametrize(("more", "count"), [("share = 0.25", 0.25), ("psnr = 28", None)])
-def test_a_level_of_detail(more: str, count: float | None, folder: Path, world: World) -> None:
-    outcome = play(folder, world, step("level", more))
-    share = len(outcome.world.flat()) / len(world.flat())
-    assert share == pytest.approx(count, abs=1e-3) if count else 0.0 < share < 0.9
-    assert "worst view" in outcome.notes[0]
+def test_a_level_of_detail(folder: Path, world: World) -> None:
+    outcome = play(folder, world, step("level", "share = 0.25"))
+    assert len(outcome.world.flat()) == pytest.approx(0.25 * len(world.flat()), abs=1)
+    assert outcome.cost is not None
 
 
 def test_a_scan_replaces_the_model_by_what_was_seen(folder: Path, world: World) -> None:
