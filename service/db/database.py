@@ -7,15 +7,18 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVarTuple
+from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import DBAPIError
 
 from engine.errors import InputError
-from service.db.upgrade import VERSION, bring_up_to_date, version_of
+from service.db.schema import metadata
 from service.problems import Problem
+
+if TYPE_CHECKING:
+    from alembic.config import Config
 
 Ts = TypeVarTuple("Ts")
 _log = logging.getLogger(__name__)
@@ -67,13 +70,16 @@ class Database:
         if self.is_sqlite and not Path(str(self.engine.url.database)).exists():
             return False
         with self.read() as connection:
-            return version_of(connection) != ""
+            return sa.inspect(connection).has_table("alembic_version")
 
     @property
     def is_current(self) -> bool:
         """Whether the tables are those of this version of the program."""
+        from alembic.script import ScriptDirectory
+
         with self.read() as connection:
-            return version_of(connection) == VERSION
+            found = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
+        return found == ScriptDirectory.from_config(_migrations()).get_current_head()
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
@@ -105,9 +111,24 @@ class Database:
             return connection.execute(statement).rowcount
 
     def migrate(self) -> None:
-        """Make the tables, or bring older ones up to this version of the program; InputError for later ones."""
-        with self.exclusive() as connection:
-            bring_up_to_date(connection)
+        """Bring the tables up to this version of the program: an empty database is made as the schema says, an older
+        one is changed step by step."""
+        from alembic import command
+        from alembic.util.exc import CommandError
+
+        config = _migrations()
+        with self.write() as connection:
+            take_write_lock(connection)
+            config.attributes["connection"] = connection
+            if sa.inspect(connection).has_table("alembic_version"):
+                try:
+                    command.upgrade(config, "head")
+                except CommandError:  # it knows no such step
+                    text = "a later version of this program has changed this database: use that one"
+                    raise InputError(text) from None
+            else:
+                metadata.create_all(connection)
+                command.stamp(config, "head")
 
     def close(self) -> None:
         """Give the connections back."""
@@ -183,6 +204,14 @@ def page(
 def holding(text: str, *columns: sa.ColumnElement[str]) -> sa.ColumnElement[bool]:
     """Rows of which one of the columns contains a text, upper and lower case alike."""
     return sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
+
+
+def _migrations() -> Config:
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+    return config
 
 
 @contextmanager
