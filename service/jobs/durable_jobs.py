@@ -62,7 +62,6 @@ class DurableJobs:
 
     def __init__(self, db: Database, jobs_url: str) -> None:
         self._db, self.url = db, jobs_url
-        self.is_embedded = db.is_sqlite  # in files of this machine, all its workers are this machine's
         self.presence = Presence(db)
         self._lock = threading.Lock()
         self._opened: DBOSClient | None = None
@@ -157,11 +156,6 @@ class DurableJobs:
     def waiting(self, tenant: str) -> int:
         """How many jobs of a tenant are not final."""
         return int(self._db.query(_waiting(tenant)).scalar_one())
-
-    def is_any_due(self) -> bool:
-        """Whether a job is at work or may begin; in one quick statement."""
-        due = (_QUEUED | _RUNNING) & (jobs.c.created_at <= now())
-        return self._db.query(sa.select(jobs.c.id).where(due).limit(1)).first() is not None
 
     def begin(self, job_id: str, worker: str) -> Job | None:
         """A worker starts on a job, for the first time or again; None where there is nothing left to do. The next job
@@ -267,7 +261,7 @@ class DurableJobs:
                 _hush()
                 from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
 
-                if self.is_embedded:
+                if sa.make_url(self.url).get_backend_name() == "sqlite":
                     with sqlite3.connect(str(sa.make_url(self.url).database), timeout=30) as connection:
                         connection.execute("PRAGMA journal_mode=WAL")  # kept in the file
                     connection.close()
@@ -330,7 +324,6 @@ def configuration(url: str, executor: str) -> DBOSConfig:
         "executor_id": executor,
         "serializer": DBOSPortableJSONSerializer(),  # the default, pickle, runs what it reads
         "sys_db_pool_size": 5,
-        "notification_listener_polling_interval_sec": 0.25,  # no flow listens: it is how long a shut-down waits
         "log_level": "ERROR",
         "enable_otlp": False,
     }

@@ -23,15 +23,8 @@ from service.settings import Settings
 BEAT_SECONDS = 2.0
 """Between two signs of life; `worker_silence_seconds` is several of them."""
 
-LOOK_SECONDS, POLL_SECONDS = 0.2, 0.15
-"""Between two looks at whether there is work, and, while there is, between two looks into DBOS's queue."""
-
-SERVER_POLL_SECONDS = 0.45
-"""The same of a queue in PostgreSQL, at most a twentieth more."""
-
-REST_SECONDS = 10.0
-"""Without work for that long, DBOS is shut down until there is some: its threads send over twenty statements a second
-to say that there is none. Not on PostgreSQL, where its listener takes ten seconds to end."""
+POLL_SECONDS = 0.4
+"""Between two looks into the queue."""
 
 MAX_TRIES = 8
 """So many workers may be lost at one step of a job: then it is the job that ends them.
@@ -65,10 +58,7 @@ class Outcome(TypedDict, total=False):
 
 
 class Runner:
-    """Runs jobs, each step once, in folders under `scratch`; `active` are those running here.
-
-    None begins while it rests: DBOS is being shut down then, and recovers at its next start what it took meanwhile.
-    """
+    """Runs jobs, each step once, in folders under `scratch`; `active` are those running here."""
 
     def __init__(
         self,
@@ -82,21 +72,10 @@ class Runner:
         self._jobs, self._flows, self._children = jobs, flows, children
         self._scratch, self._worker, self._stopping = scratch, worker, stopping
         self.active: set[str] = set()
-        self._resting, self._lock = False, threading.Lock()
-
-    def rest(self, wanted: bool = True) -> bool:
-        """Rest, if nothing runs, or no longer; whether it rests."""
-        with self._lock:
-            self._resting = wanted and not self.active
-            return self._resting
 
     def run(self, job_id: str) -> None:
         """The workflow: returns once the job's row is final. What it raises, DBOS would take for an end."""
-        with self._lock:
-            if begins := not self._resting:
-                self.active.add(job_id)
-        if not begins:
-            _stand_still()
+        self.active.add(job_id)
         try:
             job = self._patiently(lambda: self._jobs.begin(job_id, self._worker), _OUT_OF_REACH)
             if job is None:
@@ -195,8 +174,7 @@ def _tries(stopping: threading.Event) -> Iterator[None]:
 
 
 def _stand_still() -> NoReturn:
-    """The process, or DBOS in it, is about to end: returning or raising would say that the job has ended, which is not
-    so."""
+    """The process is about to end. Returning or raising would tell DBOS that the job has ended, which is not so."""
     while True:
         time.sleep(3600)
 
@@ -229,7 +207,6 @@ class Worker:
         self._settings, self._jobs, self._die_with_parent = settings, jobs, die_with_parent
         self._stopping = threading.Event()
         self._idle: set[str] = set()
-        self._launched, self._worked_at = False, 0.0
         self._children = Children(Limits.of(settings), command)
         scratch = _scratch(settings, self.name)
         self._runner = Runner(jobs, flows, self._children, scratch, self.name, self._stopping)
@@ -245,37 +222,15 @@ class Worker:
         self._until_it_works(lambda: self._jobs.presence.beat(self.name))
         threading.Thread(target=self._beat, daemon=True).start()
         self._until_it_works(self._launch)
-        watched = time.monotonic()
-        while not self._stopping.wait(LOOK_SECONDS):
-            self._wake_or_rest()
-            if time.monotonic() - watched >= BEAT_SECONDS:
-                self._watch()
-                watched = time.monotonic()
+        while not self._stopping.wait(BEAT_SECONDS):
+            self._watch()
         self._end()
-
-    def _wake_or_rest(self) -> None:
-        """Have DBOS run while there is work."""
-        from dbos import DBOS
-
-        if not self._jobs.is_embedded:
-            return
-        try:
-            if self._jobs.is_any_due():
-                self._worked_at = time.monotonic()
-                if not self._launched:
-                    self._launch()
-            elif self._launched and time.monotonic() - self._worked_at > REST_SECONDS and self._runner.rest():
-                self._launched = False
-                DBOS.destroy(destroy_registry=True)
-        except Exception as error:  # `_watch` says that the database is away
-            _log.info("worker %s cannot look for work: %s", self.name, error)
 
     def _launch(self) -> None:
         """Start DBOS in this process: jobs begin to run, those of an earlier process of our name among them."""
         from dbos import DBOS
 
         self._jobs.client()  # makes the engine's tables
-        self._runner.rest(False)
         DBOS(config=configuration(self._jobs.url, self.name))
 
         @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=None)  # we count, by step
@@ -284,12 +239,12 @@ class Worker:
 
         try:
             DBOS.launch()
-            poll = POLL_SECONDS if self._jobs.is_embedded else SERVER_POLL_SECONDS
-            DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=poll, on_conflict="always_update")
+            DBOS.register_queue(
+                QUEUE, worker_concurrency=1, polling_interval_sec=POLL_SECONDS, on_conflict="always_update"
+            )
         except Exception:
             DBOS.destroy(destroy_registry=True)
             raise
-        self._launched, self._worked_at = True, time.monotonic()
         _log.info("worker %s is ready", self.name)
 
     def _until_it_works(self, call: Callable[[], Any]) -> None:

@@ -6,7 +6,6 @@ import os
 import signal
 import sqlite3
 import subprocess
-import threading
 import time
 from contextlib import closing
 from pathlib import Path
@@ -16,9 +15,8 @@ import pytest
 from service.db import Database
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, State
-from service.jobs.runner import LOOK_SECONDS, MAX_TRIES, POLL_SECONDS, Runner
+from service.jobs.runner import MAX_TRIES
 from service.problems import Problem
-from service.processes import Children, Limits
 from service.settings import DATABASE, JOBS_DATABASE, Settings
 from tests.service import serving
 from tests.service.jobs.conftest import Workshop, new_settings, opened
@@ -108,66 +106,6 @@ def test_jobs_of_every_kind_end_as_they_must(workshop: Workshop) -> None:
     worker.stdin.close()  # type: ignore[union-attr]
     assert worker.wait(5) == 0
     assert time.monotonic() - started < 5
-
-
-@ON_SQLITE
-def test_an_idle_worker_leaves_the_database_alone_and_still_starts_a_job_at_once(
-    workshop: Workshop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Statements stand for processor time, of which a busy machine tells little: 8 a second; 22 where DBOS never
-    rests."""
-    assert LOOK_SECONDS + POLL_SECONDS < 0.4, "with DBOS's start within half a second"
-    statements, seconds = tmp_path / "statements", 6.0
-    monkeypatch.setenv("STATEMENTS", str(statements))
-    monkeypatch.setenv("REST", "0.5")
-    workshop.start("idle")
-    for job_id in ("ready", "again"):  # it rests in between
-        workshop.task(job_id, "echo")
-        assert workshop.ended(job_id).state == State.SUCCEEDED
-        workshop.wait(lambda: _rate(statements) < 15)
-    said = statements.stat().st_size
-    time.sleep(seconds)
-    assert 0 < statements.stat().st_size - said < 12 * seconds
-
-
-def test_nothing_begins_while_the_engine_is_shut_down(tmp_path: Path) -> None:
-    """What it took from the queue in that moment is begun after its next start; it does not rest while a job runs."""
-    begun, go_on = list[str](), threading.Event()
-
-    class Jobs(DurableJobs):
-        def __init__(self) -> None:
-            pass
-
-        def begin(self, job_id: str, worker: str) -> None:
-            begun.append(job_id)
-            go_on.wait(10)
-
-    settings = Settings(data_dir=tmp_path)
-    runner = Runner(Jobs(), {}, Children(Limits.of(settings)), tmp_path, "w", threading.Event())
-
-    def start(job_id: str) -> threading.Thread:
-        thread = threading.Thread(target=runner.run, args=(job_id,), daemon=True)
-        thread.start()
-        return thread
-
-    assert runner.rest()
-    start("in that moment").join(0.3)
-    assert begun == []
-    runner.rest(False)
-    running = start("in that moment")
-    while not begun:
-        time.sleep(0.01)
-    assert not runner.rest()
-    go_on.set()
-    running.join(10)
-    assert runner.rest()
-
-
-def _rate(statements: Path) -> float:
-    """Statements a second, over two of them."""
-    before = statements.stat().st_size
-    time.sleep(2.0)
-    return (statements.stat().st_size - before) / 2.0
 
 
 def test_a_killed_workers_job_goes_on_at_its_last_finished_step(workshop: Workshop) -> None:

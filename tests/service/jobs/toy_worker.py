@@ -9,10 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import sqlalchemy as sa
-
 from service.db import Database
-from service.jobs import runner
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run, Step
 from service.jobs.runner import Worker
@@ -93,18 +90,8 @@ FLOWS = {
     "unkept": (Step("unkept", unkept),),
 }
 
-
-def count_statements(path: Path) -> None:
-    """Leave a byte there for each statement that this process sends to a database, DBOS's own among them."""
-    file = path.open("ab", buffering=0)
-    sa.event.listen(sa.Engine, "before_cursor_execute", lambda *_: file.write(b"."))
-
-
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    if "STATEMENTS" in os.environ:
-        count_statements(Path(os.environ["STATEMENTS"]))
-    runner.REST_SECONDS = float(os.environ.get("REST", runner.REST_SECONDS))
     settings = Settings()
     db = Database(settings.database())
     jobs = DurableJobs(db, settings.jobs_database())
