@@ -157,12 +157,21 @@ def mark(
             profile=request.profile,
             repairs=loaded.repairs,
             psnr_as_written=as_written,
-            notes=[*notes_of(scene, kind), *left_out_note(revealed)],
+            notes=[*_settings_note(terms, made), *notes_of(scene, kind), *left_out_note(revealed)],
             seconds=ended - began,
             seconds_by_stage=stages | made.report.seconds_by_stage | {"write": ended - started},
         )
         yield MarkAnswer(output, scene, made, loaded, report)
         began, stages = time.perf_counter(), {}
+
+
+def _settings_note(terms: MarkTerms, made: Embedding) -> list[str]:
+    """Where settings were left open, and an earlier copy's were taken."""
+    from engine.flows.embed.profiles import Auto
+
+    if terms.earlier is None or not isinstance(terms.config, Auto) or made.report.choice is not None:
+        return []
+    return [f"the settings are those of the earlier copy ({terms.earlier.copy!r}): all copies of a model share them"]
 
 
 def _revealed(loaded: Loaded, kind: str) -> list[str]:

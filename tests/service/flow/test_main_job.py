@@ -253,8 +253,9 @@ def test_a_killed_worker_loses_nothing(served: Served, alice: Client, owner_key:
 
 
 def test_a_later_copy_costs_a_part(alice: Client, owner_key: str) -> None:
-    """The killed worker's model again, for another buyer."""
-    ended = alice.embed(sparse_plant(every=15), key_id=owner_key, profile="balanced", copy_name="second")
+    """The killed worker's model again, for another buyer, who gets the first one's settings."""
+    ended = alice.embed(sparse_plant(every=15), key_id=owner_key, copy_name="second")
+    assert "those of the earlier copy ('survivor')" in alice.asset(ended.asset_id).report["notes"][0]
     first = next(asset for asset in alice.assets() if asset.copy_name == "survivor")
     made, taken = (alice.asset(name).report["seconds_by_stage"]["landmarks"] for name in (first.id, ended.asset_id))
     assert taken < 0.3 * made
