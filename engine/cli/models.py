@@ -19,7 +19,7 @@ def format_for(path: Path, source: Path | None = None) -> str:
 
         if (kind := folder_kind(source)) is not None:
             return kind
-    from engine.formats.kinds import kind_of
+    from engine.formats.known_formats import kind_of
 
     return kind_of(path.name).name
 

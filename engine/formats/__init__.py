@@ -8,7 +8,7 @@ Nothing here renders; all rooms above may import it, most by the names below. St
 
 from engine.formats.cameras.files import read_cameras, write_cameras
 from engine.formats.file_writing import encode_model, write_model
-from engine.formats.kinds import FORMATS
+from engine.formats.known_formats import FORMATS
 from engine.formats.model_reading import LoadedModel, read_model
 from engine.formats.repairs import Repair
 

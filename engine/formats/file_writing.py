@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats.declaration import Kind
-from engine.formats.kinds import FORMATS, KIND_BY_NAME, kind_of
+from engine.formats.known_formats import FORMATS, KIND_BY_NAME, kind_of
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING

@@ -9,8 +9,8 @@ from pathlib import Path
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.declaration import Kind, Read
 from engine.formats.guards import opening, read_regular
-from engine.formats.kinds import KINDS, READ
 from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
+from engine.formats.known_formats import KINDS, READ
 from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
 from engine.model import GaussianModel

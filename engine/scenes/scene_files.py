@@ -65,7 +65,7 @@ class Loaded:
     """A scene as it came from a file or a folder; see `engine.formats.LoadedModel`."""
 
     scene: Scene
-    format: str  # one of `engine.formats.kinds.READ`, or "spacetime", "frames", "codebook"
+    format: str  # one of `engine.formats.known_formats.READ`, or "spacetime", "frames", "codebook"
     repairs: tuple[Repair, ...]
     source_bytes: int
     sha256: str

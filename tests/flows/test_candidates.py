@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 import engine.flows.trace.candidates as candidates
 import engine.flows.verify.search as searching
+import engine.flows.verify.suspect_evidence as suspect_evidence
 from engine.errors import MalformedRecordError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.regions.region_search import locate_mark
@@ -116,17 +118,18 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often a suspect is registered, rendered and read as pictures."""
     counted: Counter[str] = Counter()
 
-    def count(name: str) -> None:
-        read = getattr(searching, name)
+    def count(module: ModuleType, name: str) -> None:
+        read = getattr(module, name)
 
         def counting(*args: Any, **more: Any) -> Any:
             counted[name] += 1
             return read(*args, **more)
 
-        monkeypatch.setattr(searching, name, counting)
+        monkeypatch.setattr(module, name, counting)
 
-    for name in ("register", "read_renders", "read_pictures"):
-        count(name)
+    count(searching, "register")
+    count(suspect_evidence, "read_renders")
+    count(suspect_evidence, "read_pictures")
     return counted
 
 

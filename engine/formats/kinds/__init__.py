@@ -2,38 +2,3 @@
 
 A module is loaded with the first model that is read, so it imports what decodes a format only in order to decode.
 """
-
-import pkgutil
-from importlib import import_module
-
-from engine.errors import UnsupportedFormatError
-from engine.formats.declaration import Kind
-
-__all__ = ["FORMATS", "KINDS", "KIND_BY_NAME", "READ", "kind_of"]
-
-
-def _declared() -> tuple[Kind, ...]:
-    modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    found: list[Kind] = [kind for name in modules for kind in import_module(f"{__name__}.{name}").KINDS]
-    return tuple(sorted(found, key=lambda kind: kind.guessed))
-
-
-KINDS = _declared()
-KIND_BY_NAME = {kind.name: kind for kind in KINDS}
-FORMATS = tuple(kind.name for kind in KINDS if kind.write and not kind.load)
-"""What is always read and written; also the file name's ending of each."""
-READ = tuple(kind.name for kind in KINDS)
-"""What is read."""
-
-
-def kind_of(name: str) -> Kind:
-    """The format whose ending a file's name has; InputError where its packages are not installed."""
-    writable = {ending: kind for kind in KINDS if kind.write for ending in (kind.name, *kind.endings)}
-    for ending in sorted(writable, key=len, reverse=True):  # .compressed.ply before .ply
-        if name.lower().endswith("." + ending):
-            kind = writable[ending]
-            if kind.load:
-                kind.load(f"writing .{kind.name}")
-            return kind
-    endings = ", ".join("." + kind.name for kind in KINDS if kind.write)
-    raise UnsupportedFormatError(f"the name ends in none of {endings}", file=name)
