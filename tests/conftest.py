@@ -15,7 +15,8 @@ OF_ONE_ROOM = {
     "catalogue": "catalogue",
     "formats": "usd gltf_hostile oracles every_pair",
     "kernels": "native_check machine_code kernel_cache",
-    "pictures": "cropped_cameras uneven_pixels blur view_climb plain_ground residual light_and_tone local_alignment",
+    "pictures": "cropped_cameras uneven_pixels blur view_climb plain_ground residual light_and_tone local_alignment "
+    "color_change voted_views following_cameras order_of_blending",
     "registration": "deformed merged sketch mirrors shares",
     "service/api": "upload_protocol hostile",
     "service/cli": "one_service",
