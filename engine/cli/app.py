@@ -61,8 +61,8 @@ def _top(
       mark3dgs embed scene.ply marked.ply --key owner.key --record scene.record
       mark3dgs verify suspect.ply --key owner.key --record scene.record
 
-    Exit codes: 0 done, or marked; 3 not marked; 4 inconclusive; 2 wrong usage
-    or input; 1 a fault of the program or the machine; 130 interrupted.
+    Exit codes: 0 done, or marked; 3 the unmarked original; 4 inconclusive; 2 wrong usage or
+    input; 1 a fault of the program or the machine; 130 interrupted.
 
     Every command takes --json and explains itself with --help.
     """

@@ -116,7 +116,7 @@ def verify(
     A claim needs 1 in 10^9 where a trusted time-stamping service drew a part of
     the watermark (embed --tsa; --tsa-certificates here), else 1 in 2^128.
 
-    Exit codes: 0 marked, 3 not marked, 4 inconclusive, 2 wrong key or input.
+    Exit codes: 0 marked, 3 your unmarked original, 4 inconclusive, 2 wrong key or input.
 
     Examples:
 

@@ -218,14 +218,14 @@ def _trials(
 
 def _summary(report: Mapping[str, Any]) -> str:
     from engine.present.numerals import PLAIN, surely
+    from engine.present.wording import HEADLINES
 
-    verdict = report["verdict"].replace("_", " ")
+    found = HEADLINES[report["verdict"]]
     bits = f"{report['matching_bits']}/{report['bits']} bits"
     if report["verdict"] == "marked":
         chance = PLAIN.odds(report["log10_false_claim"])
-        return f"{verdict:<11} {bits}, false claim {chance}, {report['seconds']:.1f} s"
-    sure = f"a worn mark would show: {surely(report['power'])} sure"
-    return f"{verdict:<11} {bits}, as by chance; derived; {sure}"
+        return f"{found}: {bits}, false claim {chance}, {report['seconds']:.1f} s"
+    return f"{found}: {bits}, as by chance; a worn mark would show: {surely(report['power'])} sure"
 
 
 def _wrong_key(work: _Work) -> dict[str, str]:
