@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from engine.scenes.scene_files import Loaded, Scene
     from engine.watermark.keys import OwnerKey
 
-__all__ = ["MarkAnswer", "MarkOutput", "MarkReport", "MarkRequest", "mark"]
+__all__ = ["MarkAnswer", "MarkOutput", "MarkReport", "MarkRequest", "mark", "settings_note"]
 
 
 _EXACT = ("ply", "glb")
@@ -157,7 +157,7 @@ def mark(
             profile=request.profile,
             repairs=loaded.repairs,
             psnr_as_written=as_written,
-            notes=[*_settings_note(terms, made), *notes_of(scene, kind), *left_out_note(revealed)],
+            notes=[*settings_note(terms, made), *notes_of(scene, kind), *left_out_note(revealed)],
             seconds=ended - began,
             seconds_by_stage=stages | made.report.seconds_by_stage | {"write": ended - started},
         )
@@ -165,7 +165,7 @@ def mark(
         began, stages = time.perf_counter(), {}
 
 
-def _settings_note(terms: MarkTerms, made: Embedding) -> list[str]:
+def settings_note(terms: MarkTerms, made: Embedding) -> list[str]:
     """Where settings were left open, and an earlier copy's were taken."""
     from engine.flows.embed.profiles import Auto
 

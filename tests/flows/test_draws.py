@@ -16,6 +16,7 @@ from engine.flows.embed.draws import Draws
 from engine.flows.embed.embedding import Embedding, embed
 from engine.flows.embed.layer_strengths import Fidelity
 from engine.flows.embed.profiles import compose, profile
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.records.draw import DRAWN, STAMPS, draw_request, stamps_in, terms_of
 from engine.flows.records.opened_record import open_attested, open_record
 from engine.flows.verify.search import VerifyConfig, verify_model
@@ -24,6 +25,7 @@ from engine.model import GaussianModel
 from engine.records.attestation import Trust
 from engine.records.record import Record
 from engine.records.timestamps import drawn_from, make_query, stamped_at
+from engine.usecases.mark import settings_note
 from engine.watermark.rates import DRAWS, applicable_rate
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 from tests.records.test_timestamps import Authority
@@ -188,6 +190,11 @@ def test_copies_have_the_settings_of_the_first_where_none_are_named(
     again = embed(small_plant, KEY, config=compose("auto"), **about)
     assert again.record.extra["settings"] == first.record.extra["settings"]
     np.testing.assert_array_equal(again.record.plan_arrays["amplitudes"], first.record.plan_arrays["amplitudes"])
+    terms = MarkTerms(config=compose("auto"), earlier=first.record)
+    assert settings_note(terms, again)
+    assert not settings_note(replace(terms, config=profile("fast")), again)
+    chosen = replace(again, report=replace(again.report, choice=object()))
+    assert not settings_note(terms, chosen), "of another original: nothing was shared"
     with pytest.raises(InputError, match="marked before"):
         embed(small_plant, KEY, config=compose("auto", psnr_db=44.0), **about)
 

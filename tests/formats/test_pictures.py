@@ -12,6 +12,7 @@ from PIL import Image, ImageCms, features
 
 from engine.errors import FormatError
 from engine.formats import image_files as pictures
+from engine.formats.color_coding import coding_of
 from engine.formats.image_files import is_picture, read_picture
 
 
@@ -125,6 +126,20 @@ def test_a_page_that_an_hdr_desktop_shows_brighter_is_scaled_to_white() -> None:
     signal[39, 39] = 0.9  # one glint
     read = read_picture(png_with(signal, (b"cICP", bytes([9, 16, 0, 1]))))
     np.testing.assert_allclose([read[0, 0, 0], read[30, 0, 0]], [0.571, 1.0], atol=0.02)
+
+
+def test_a_color_profile_counts_before_an_avifs_own_code_points() -> None:
+    head = b"colrnclx" + bytes([0, 9, 0, 16])
+    assert coding_of(head, {}) is not None
+    assert coding_of(head, {"icc_profile": b"some"}) is None
+
+
+def test_white_stays_white_whatever_its_point() -> None:
+    """Theater screens (P3-DCI) have a greener one."""
+    read = coding_of(b"\0\0\0\4cICP" + bytes([11, 13, 0, 1]), {})
+    assert read is not None
+    np.testing.assert_allclose(read.to_srgb(np.ones((1, 1, 3), np.float32)), 1.0, atol=1e-3)
+    np.testing.assert_allclose(read.to_srgb(np.full((1, 1, 3), 0.5, np.float32)), 0.5, atol=1e-3)
 
 
 def test_other_codings_of_png_and_avif(tmp_path: Path) -> None:
