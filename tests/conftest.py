@@ -20,7 +20,7 @@ OF_ONE_ROOM = {
     "registration": "deformed merged sketch mirrors shares",
     "service/api": "upload_protocol hostile",
     "service/cli": "one_service",
-    "service/jobs": "turns port",
+    "service/jobs": "turns port worker",
     "service/trust": "audit master",
     "service/web": "behaviour claim_view digests jobs lists settings",
     "service/work": "by_content variants",
