@@ -90,7 +90,7 @@ class _Process:
         stdin.flush()
 
     def kill(self) -> None:
-        """With all it started. Its pipes close with it."""
+        """With all it started."""
         if self.popen.returncode is None:  # once reaped, its number may be another's
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.popen.pid, signal.SIGKILL)

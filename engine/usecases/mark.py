@@ -171,7 +171,8 @@ def settings_note(terms: MarkTerms, made: Embedding) -> list[str]:
 
     if terms.earlier is None or not isinstance(terms.config, Auto) or made.report.choice is not None:
         return []
-    return [f"the settings are those of the earlier copy ({terms.earlier.copy!r}): all copies of a model share them"]
+    name = f" ({terms.earlier.copy!r})" if terms.earlier.copy else ""
+    return [f"the settings are those of the earlier copy{name}: all copies of a model share them"]
 
 
 def _revealed(loaded: Loaded, kind: str) -> list[str]:
