@@ -35,6 +35,7 @@ class PlanningConfig:
     mark_scale: float = 0.02
     # Share of the Gaussians that may hold still. More means that the scene has few values, not that some were clipped
     most_still: float = 2.0 / 3.0
+    mass_factor: float = 2.0  # of a value's Gaussians, in those of the values around it, from which it is a mass
     # Noise of each color channel (standard deviation, range 1) for which z is predicted: one picture, badly compressed
     reference_noise: float = 0.05
     # z of a claim, in that of this noise, from one picture of profile `fast`: of our own render at

@@ -7,18 +7,23 @@ PSNR.
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from engine.model import Float32
 from engine.watermark.config import CONFIG
 
 GRID = 512.0
 """Values are compared in steps of 1/512, as the reference keeps them."""
+AROUND = 3
+"""Values on either side that say how many Gaussians have a usual one."""
 
 
 def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
-    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have; none where most would."""
+    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have, and far more than have the
+    values around it; none where most would. What many have because values are few is moved: held, it would show."""
     still = np.zeros(len(dc), dtype=bool)
     for channel in np.round(GRID * dc.astype(np.float64)).astype(np.int64).T:
         _, place, count = np.unique(channel, return_inverse=True, return_counts=True)
-        still |= (count > share * len(dc))[place]
+        usual = median_filter(count, 2 * AROUND + 1, mode="mirror") if len(count) > AROUND else count
+        still |= ((count > share * len(dc)) & (count > CONFIG.planning.mass_factor * usual))[place]
     return still if still.mean() <= CONFIG.planning.most_still else np.zeros_like(still)

@@ -20,6 +20,14 @@ def test_a_value_in_one_channel_that_many_share_is_a_mass() -> None:
     assert not find_masses(dc, 1.0).any()
 
 
+def test_what_many_share_because_values_are_few_is_no_mass() -> None:
+    rng = np.random.default_rng(2)
+    dc = (np.round(8.0 * rng.normal(0.0, 1.0, (20_000, 3))) / 8.0).astype(np.float32)
+    dc[:800, 0] = -1.5
+    still = find_masses(dc, 0.005)
+    assert np.array_equal(still, dc[:, 0] == -1.5), "0.0 has 5 % by nature, -1.5 has 6 where 2 are usual"
+
+
 def test_rounding_below_the_references_grid_does_not_hide_a_mass() -> None:
     rng = np.random.default_rng(1)
     dc = rng.normal(0.0, 1.0, (1000, 3)).astype(np.float32)
