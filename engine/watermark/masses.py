@@ -7,7 +7,7 @@ PSNR.
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from engine.model import Float32
 from engine.watermark.config import CONFIG
@@ -24,6 +24,7 @@ def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
     still = np.zeros(len(dc), dtype=bool)
     for channel in np.round(GRID * dc.astype(np.float64)).astype(np.int64).T:
         _, place, count = np.unique(channel, return_inverse=True, return_counts=True)
-        usual = median_filter(count, 2 * AROUND + 1, mode="mirror") if len(count) > AROUND else count
+        around = sliding_window_view(np.pad(count, AROUND, mode="reflect"), 2 * AROUND + 1)
+        usual = np.median(around, axis=-1)
         still |= ((count > share * len(dc)) & (count > CONFIG.planning.mass_factor * usual))[place]
     return still if still.mean() <= CONFIG.planning.most_still else np.zeros_like(still)
