@@ -52,3 +52,14 @@ def read_regular(path: Path, file: str) -> bytes:
     if path.exists() and not path.is_file():
         raise InputError(f"{file}: is no regular file")
     return path.read_bytes()
+
+
+def beside(folder: Path, name: str, file: str) -> Path:
+    """A file in the folder or below it, by a path of any system, which may be one of another machine; FormatError where
+    there is none."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part]
+    for path in (folder.joinpath(*parts), folder / parts[-1] if parts else folder):
+        if "\0" not in name and path.is_file() and path.resolve().is_relative_to(folder.resolve()):
+            return path
+    message = f"names {name[:80]!a}, which is not beside it: give its materials and textures together with it"
+    raise FormatError(message, file=file)

@@ -13,9 +13,11 @@ from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
 from engine.formats.known_formats import KINDS, READ
 from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
+from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
+_WRITTEN_BY_HAND = ("ply", "glb")  # by scripts of many, which mistake the order of a quaternion
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ def _decode(data: bytes, file: str, spz_frame: str) -> LoadedModel:
         kind, (model, repairs) = _read(data, file, spz_frame)
     except MemoryError:
         raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
-    return LoadedModel(model, kind.name, repairs, len(data), hashlib.sha256(data).hexdigest())
+    hints = order_hint(model) if kind.name in _WRITTEN_BY_HAND else ()
+    return LoadedModel(model, kind.name, (*repairs, *hints), len(data), hashlib.sha256(data).hexdigest())
 
 
 def _read(data: bytes, file: str, spz_frame: str) -> tuple[Kind, Read]:
