@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
+_MODELS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
 _WRITTEN_BY_HAND = ("ply", "glb")  # by scripts of many, which mistake the order of a quaternion
 
 
@@ -113,7 +115,12 @@ def _read_folder(path: Path, file: str) -> LoadedModel:
         there = sorted(path.iterdir(), key=lambda p: p.name)
         names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix in (".webp", ".png")))
     else:
-        raise UnsupportedFormatError(f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene", file=file)
+        message = f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene"
+        models = [p for ending in _MODELS for p in (*path.glob(f"*{ending}"), *path.glob(f"point_cloud/*/*{ending}"))]
+        if models:
+            latest = max(models, key=lambda p: [int(n) for n in re.findall(r"\d+", p.parent.name)])
+            message += f"; give a model in it, such as {str(latest.relative_to(path))[:120]!a}"
+        raise UnsupportedFormatError(message, file=file)
     return LoadedModel(model, "sog", repairs, *weigh_files(path, names))
 
 

@@ -38,7 +38,7 @@ LIES = {
     "means.maxs": [[0, 0, -1e3]],
     "scales.codebook": [None, [], [0.0] * 257, ["a"] * 256, [None] * 256, [float("inf")] * 256],
     "shN": [7, {}],
-    "shN.bands": [None, 0, 2, 4, 1.0],
+    "shN.bands": [None, 2, 4, 1.0],
     "shN.count": [None, 0, 65537, 6400],
 }
 

@@ -145,7 +145,9 @@ def _text_images(data: bytes, file: str) -> list[_Image]:
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
         if line.startswith("#"):
             continue
-        if points_follow or not line.strip():
+        # Some programs leave the lines of points out; those end with a point's number, an image with its name.
+        last = line[-40:].split()[-1:]
+        if not last or (points_follow and last[0].lstrip("-").isdigit()):
             points_follow = False
             continue
         words = line.split(maxsplit=9)

@@ -38,7 +38,7 @@ def read_corners(data: bytes, folder: Path | None, *, file: str) -> tuple[Float3
         (primitive, matrix)
         for mesh, matrix in shown_meshes(asset)
         for primitive in primitives_of(asset, mesh)
-        if _has_colors(asset, primitive)
+        if _has_colors(asset, primitive) and "gaussian_splat" not in str(primitive.get("extensions"))  # of any draft
     ]
     if not shown:
         return None

@@ -102,7 +102,7 @@ class _Scene:
         for axis in range(3):
             code = low[:, axis] | (high[:, axis].astype(np.uint16) << 8)
             values = np.unique(code[:_SAMPLE])
-            even += len(values) > _PALETTE and np.count_nonzero(values & 1) < _FEW_ODD * len(values)
+            even += bool(len(values) > _PALETTE and np.mean(values & 1) < _FEW_ODD)
             ramp = np.linspace(self._meta.mins[axis], self._meta.maxs[axis], 1 << 16)
             with np.errstate(over="ignore"):  # an absurd range becomes infinite, and its rows are dropped
                 table = (np.sign(ramp) * np.expm1(np.abs(ramp))).astype(np.float32)

@@ -31,7 +31,7 @@ class Palette:
     """Spherical harmonics above DC: `table` (256,) is the coefficient of each pixel value.
 
     `bands` (1 to 3) and the `count` of code vectors are None where the size of the image of centroids must tell
-    (version 1).
+    (version 1, and some writers).
     """
 
     bands: int | None
@@ -89,6 +89,9 @@ class _Reader:
         if isinstance(version, bool) or version not in (1, 2):
             message = f"SOG version {version!r:.40}, read are 1 and 2"
             raise UnsupportedFormatError(message, file=self._file, element="meta.json", prop="version")
+        if "opacities" in self._meta:
+            message = "is gsplat's own compression, no SOG: export the model as .ply (gsplat.export_splats)"
+            raise UnsupportedFormatError(message, file=self._file, element="meta.json")
         codebooks = version == 2
         count = self._integer(self._meta.get("count"), "count") if codebooks else self._shape_count()
         files = {key: self._names(key, n) for key, n in _FILES.items() if key != "shN" or "shN" in self._meta}
@@ -179,10 +182,11 @@ class _Reader:
     def _palette(self, codebooks: bool) -> Palette:
         if codebooks:
             member = self._member("shN")
-            bands = self._integer(member.get("bands"), "shN.bands")
-            if bands not in REST_COEFFICIENTS:
+            bands = self._integer(member.get("bands"), "shN.bands") or None  # gsbox wrote 0
+            if bands and bands not in REST_COEFFICIENTS:
                 raise self._fault(f"{bands} bands, expected 1 to 3", "shN.bands")
-            count = self._integer(member.get("count"), "shN.count")
+            said = member["count"] if "count" in member else member.get("palette_size")  # LichtFeld's name for it
+            count = self._integer(said, "shN.count")
             if not 1 <= count <= MAX_PALETTE:
                 raise self._fault(f"{count} code vectors, expected 1 to {MAX_PALETTE}", "shN.count")
             return Palette(bands, count, self._codebook("shN"))
