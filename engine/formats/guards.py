@@ -1,10 +1,12 @@
 """What is checked before an untrusted file is read: what it is, and how much it may make the reader allocate."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from engine.errors import FormatError, InputError
+from engine.numerics.plain import Json
 
 FREE_COUNT = 1 << 20
 """Any file may hold this many: some 300 MB while it is read."""
@@ -34,6 +36,17 @@ def check_count(count: int, size: int, *, file: str) -> None:
         raise FormatError(f"holds {count} Gaussians", file=file)
     if count > max(FREE_COUNT, GAUSSIANS_PER_BYTE * size):
         raise FormatError(f"claims {count} Gaussians in {size} bytes", file=file)
+
+
+def json_object(text: bytes, *, file: str, element: str) -> Json:
+    """The object that is the whole of a JSON text; FormatError where there is none."""
+    try:
+        parsed = json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        raise FormatError(f"is no JSON ({ascii(str(fault))[:120]})", file=file, element=element) from None
+    if not isinstance(parsed, dict):
+        raise FormatError("is no JSON object", file=file, element=element)
+    return parsed
 
 
 @contextmanager

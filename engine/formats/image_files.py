@@ -28,23 +28,18 @@ _AV1 = re.compile(rb"av1C\x81.(.)", re.DOTALL)  # AVIF's bits a channel: AV1-ISO
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
 
-def _starts_like_picture(head: bytes) -> bool:
-    """Whether 64 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
-    webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
-    avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
-    return webp or avif or head.startswith(_MAGICS)
-
-
 def is_picture(path: Path, name: str = "") -> bool:
-    """Whether a file starts like a picture, whatever its name (`name`, or its path's own) says: except for a .splat
-    that is one by its rows, since its first number may be any bytes."""
+    """Whether a file starts like a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF, whatever its name (`name`, or its path's
+    own) says: except for a .splat that is one by its rows, since its first number may be any bytes."""
     if path.is_dir():
         return False
     try:
         with path.open("rb") as file:
-            starts = _starts_like_picture(file.read(64))
+            head = file.read(64)
+        webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
+        avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
         named = (name or path.name).lower().endswith(".splat")
-        return starts and not (named and looks_like_splat(path.read_bytes()))
+        return (webp or avif or head.startswith(_MAGICS)) and not (named and looks_like_splat(path.read_bytes()))
     except OSError as error:
         raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 

@@ -13,8 +13,6 @@ from engine.formats.guards import beside, read_small
 from engine.formats.textures import Textures
 from engine.model import Float32
 
-__all__ = ["read_obj"]
-
 _LINE = 1 << 16
 """Bytes that are looked at of a line: faces of a few thousand corners."""
 

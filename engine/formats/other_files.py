@@ -5,8 +5,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["RAW_ENDINGS", "RAW_PHOTO", "ZIP_WITHOUT_SCENE", "advice_for", "changed_as_text"]
-
 RAW_PHOTO = "is a camera's raw file: save the developed picture as PNG or JPEG"
 RAW_ENDINGS = (".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw", ".dng")
 
@@ -80,8 +78,8 @@ _KINDS = (
         endings=(".rad",),
     ),
     _Other(
-        "is a scene that moves (.splatv), or one for another viewer (.spx, which gsbox converts: gsbox spx2ply): give the"
-        " .ply that it was made from",
+        "is a scene that moves (.splatv), or one for another viewer (.spx, which gsbox converts: gsbox spx2ply): give"
+        " the .ply that it was made from",
         (b"KG\0\0", b"spx"),
         endings=(".splatv", ".spx"),
     ),

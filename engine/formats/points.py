@@ -15,8 +15,6 @@ from engine.formats.repairs import Repair, clean
 from engine.formats.textures import Textures
 from engine.model import Float32, GaussianModel
 
-__all__ = ["read_points"]
-
 _OPACITY_LOGIT = 2.2
 """Of each point, 0.9: what is seen is nearly the nearest."""
 

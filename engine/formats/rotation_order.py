@@ -7,8 +7,6 @@ from engine.formats.repairs import Repair
 from engine.model import GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
 
-__all__ = ["order_hint"]
-
 _POINTS, _SAMPLE, _NEAR = 1 << 17, 8192, 12  # Gaussians, those that are looked at, and the neighbors of each
 _FLAT = 3.0  # times thinner than wide
 _LEAD = 2 / 3

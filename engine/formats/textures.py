@@ -11,8 +11,6 @@ from engine.formats.guards import read_regular
 from engine.formats.image_files import MAX_PIXELS_TOGETHER, read_picture
 from engine.model import Float32, Float64
 
-__all__ = ["Textures"]
-
 
 class Textures:
     """The pictures of one mesh, each decoded once, and no more of them than of one suspect's."""

@@ -18,10 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.guards import beside, read_regular
+from engine.formats.guards import beside, json_object, read_regular
 from engine.numerics.plain import Json
-
-__all__ = ["MAGIC", "MAX_JSON_BYTES", "UNPACK", "Asset", "pack_glb", "unpack"]
 
 MAGIC = b"glTF"
 MAX_JSON_BYTES = 1 << 24
@@ -192,13 +190,7 @@ def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
 def _parse(text: bytes, file: str, limit: int) -> Json:
     if len(text) > limit:
         raise FormatError(f"its JSON has {len(text)} bytes, more than {limit}", file=file)
-    try:
-        parsed = json.loads(text)
-    except (ValueError, RecursionError) as fault:
-        raise FormatError(f"is no JSON ({ascii(str(fault))[:120]})", file=file, element="JSON") from None
-    if not isinstance(parsed, dict):
-        raise FormatError("is no JSON object", file=file, element="JSON")
-    return parsed
+    return json_object(text, file=file, element="JSON")
 
 
 def _whole(asset: Asset, row: Mapping[str, Any], key: str, element: str, default: int | None = None) -> int:

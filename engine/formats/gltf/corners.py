@@ -20,8 +20,6 @@ from engine.formats.textures import Textures
 from engine.model import Float32, Float64
 from engine.numerics.srgb import from_linear, to_linear
 
-__all__ = ["read_corners"]
-
 _UNDERSTOOD = {"KHR_mesh_quantization", "KHR_materials_unlit", "EXT_texture_webp"}
 _AS_SHOWN = ("trimesh", "open3d", "tinygltf", "meshlab", "vcg")
 """Parts of the names of programs that store colors at corners as screens show them, against the specification."""

@@ -1,6 +1,5 @@
 """meta.json of a SOG scene: checked, and brought to lookup tables that are the same for both versions."""
 
-import json
 import math
 import re
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.guards import json_object
 from engine.formats.modes import ANTIALIASED
 from engine.formats.repairs import ALPHA_LOGITS, Repair
 from engine.model import Float64
@@ -67,22 +67,15 @@ def parse_meta(text: bytes, *, file: str) -> SogMeta:
     UnsupportedFormatError for another version than 1 (which names none) and 2; FormatError if it is no JSON, or a
     member is missing, of the wrong kind, or no finite number.
     """
-    try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError) as fault:
-        raise FormatError(f"is no JSON ({fault})", file=file, element="meta.json") from None
-    return _Reader(meta, file).parse()
+    return _Reader(json_object(text, file=file, element="meta.json"), file).parse()
 
 
 class _Reader:
     """Takes members out of the parsed JSON; every complaint names the file and the member."""
 
-    def __init__(self, meta: Any, file: str) -> None:
-        self._file = file
+    def __init__(self, meta: Json, file: str) -> None:
+        self._file, self._meta = file, meta
         self._repairs: list[Repair] = []
-        if not isinstance(meta, dict):
-            raise self._fault("is no JSON object", None)
-        self._meta = meta
 
     def parse(self) -> SogMeta:
         version = self._meta.get("version", 1)
@@ -118,7 +111,7 @@ class _Reader:
             repairs=tuple(self._repairs),
         )
 
-    def _fault(self, message: str, prop: str | None) -> FormatError:
+    def _fault(self, message: str, prop: str) -> FormatError:
         return FormatError(message, file=self._file, element="meta.json", prop=prop)
 
     def _member(self, key: str) -> Json:
