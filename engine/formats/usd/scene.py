@@ -74,8 +74,8 @@ def read_usd(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
 
 
 def write_usd(model: GaussianModel, kind: str) -> bytes:
-    """The scene as "usda", "usdc" or "usdz", one prim, float32: only sizes and opacities are rounded, by the exponential
-    and the logistic function. InputError where the extra `usd` is not installed."""
+    """The scene as "usda", "usdc" or "usdz", one prim, float32: only sizes and opacities are rounded, by the
+    exponential and the logistic function. InputError where the extra `usd` is not installed."""
     pxr = load_usd(f"writing .{kind}")
     stage = pxr.Usd.Stage.CreateInMemory(f"scene.{'usdc' if kind == 'usdz' else kind}")
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
