@@ -1,5 +1,7 @@
 """Rotations in another order are told by flat Gaussians that lie across their surface; others never."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -45,3 +47,11 @@ def test_what_knows_no_surface_is_in_order(seed: int) -> None:
     assert order_hint(model.with_(quats=np.ascontiguousarray(quats))) == ()
     few = surface(60)
     assert order_hint(few.with_(quats=np.ascontiguousarray(np.roll(few.quats, 1, axis=1)))) == ()
+
+
+@pytest.mark.parametrize("scene", ["plant.splat", "train_1000.ply"])
+def test_real_scenes_are_in_order_and_told_in_another(scene: str) -> None:
+    model = read_model(Path(__file__).parents[1] / "data" / scene).model
+    assert order_hint(model) == ()
+    told = [order_hint(model.with_(quats=np.ascontiguousarray(np.roll(model.quats, by, axis=1)))) for by in (1, -1)]
+    assert [len(hints) for hints in told] == ([1, 1] if len(model) > 1000 else [1, 0])  # too few are flat
