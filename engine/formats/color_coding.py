@@ -15,8 +15,6 @@ import numpy as np
 from engine.model import Float32, Float64
 from engine.numerics.srgb import from_linear, to_linear
 
-__all__ = ["Coding", "coding_of"]
-
 _WHITE = 203.0  # cd/m2
 _BRIGHTEST = 0.999
 """Share of the pixels that are to lie below white: a desktop may show the white of a page at 480 cd/m2."""

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from importlib import import_module
+from typing import Any, Literal
 
 import numpy as np
 
 from engine.formats.repairs import Repair
 from engine.model import Bool, Float32, Float64, GaussianModel
-
-__all__ = ["Held", "Kind", "Range", "Read", "dc_range", "rest_range", "size_range"]
 
 Read = tuple[GaussianModel, tuple[Repair, ...]]
 Held = Literal["harmonics", "discs", "antialiasing", "properties", "comments", "origin"]
@@ -19,34 +19,19 @@ Held = Literal["harmonics", "discs", "antialiasing", "properties", "comments", "
 class Range:
     """What a format holds of an attribute, and in which steps, in the units of the values."""
 
-    name: str
-    values: Callable[[GaussianModel], Float32]  # (N, ...)
+    name: Literal["colors", "harmonics", "sizes"]  # coefficients of degree 0, those beyond, logarithms of scales
     low: float
     high: float
     step: float  # twice what it rounds by within its range
 
     def beyond(self, model: GaussianModel) -> Bool:
         """(N,) which Gaussians are clipped by more than rounding."""
-        values = self.values(model).reshape(len(model), -1)
+        found = {"colors": model.sh[:, 0], "harmonics": model.sh[:, 1:], "sizes": model.log_scales}[self.name]
+        values = found.reshape(len(model), -1)
         if not values.shape[1]:
             return np.zeros(len(model), dtype=np.bool_)
         low, high = self.low - self.step / 2, self.high + self.step / 2
         return np.asarray((values.min(axis=1) < low) | (values.max(axis=1) > high))
-
-
-def dc_range(low: float, high: float, step: float) -> Range:
-    """Of the coefficients of degree 0."""
-    return Range("colors", lambda model: model.sh[:, 0], low, high, step)
-
-
-def rest_range(low: float, high: float, step: float) -> Range:
-    """Of the coefficients beyond degree 0."""
-    return Range("harmonics", lambda model: model.sh[:, 1:], low, high, step)
-
-
-def size_range(low: float, high: float, step: float) -> Range:
-    """Of the logarithms of the scales."""
-    return Range("sizes", lambda model: model.log_scales, low, high, step)
 
 
 @dataclass(frozen=True)
@@ -67,3 +52,8 @@ class Kind:
     ranges: tuple[Range, ...] = ()
     rounded: Callable[[Float32], Float64] | None = None  # means as the file holds them, if one range is for many rows
     step: Callable[[Float64], float] | None = None  # of means (N, 3) in such a range, scene units
+
+
+def later(module: str) -> Callable[[], Any]:
+    """What loads a module when it is called: those that decode a format are loaded only in order to decode."""
+    return partial(import_module, module)

@@ -1,4 +1,5 @@
-"""Models into files: whole or not at all; and what a format cannot hold of a model, row by row."""
+"""Models into files: whole or not at all; and what a format cannot hold of a model, row by row: Gaussians far away from
+all others, too, to which formats that share one range among many rows would lose the others."""
 
 import os
 import secrets
@@ -16,8 +17,13 @@ from engine.formats.known_formats import FORMATS, KIND_BY_NAME, kind_of
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING
-from engine.formats.strays import unheld_rows
-from engine.model import Carried, GaussianModel
+from engine.model import Bool, Carried, Float32, GaussianModel
+
+STRAY_SHARE = 0.002
+"""Of all Gaussians, at most: more of them are a part of the scene. Twice the thousandth that trainers leave behind."""
+
+STRAY_DISTANCE = 64.0
+"""Times the extent of all others. In real scenes with their sky the outermost lie within 3 times."""
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
@@ -61,10 +67,9 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
     strays = np.flatnonzero(unheld)
     if len(strays):
         far = float(np.abs(model.means[strays]).max())
-        noun = "Gaussian" if len(strays) == 1 else "Gaussians"
         notes.append(
-            f"{len(strays)} {noun} (first in row {model.row_of(strays[0])}), up to {far:.3g} from the others, left out:"
-            f" .{format} rounds all others away where it holds them; .ply, .splat and .glb hold both"
+            f"{_counted(model, strays)}, up to {far:.3g} from the others, left out: .{format} rounds all others away"
+            " where it holds them; .ply, .splat and .glb hold both"
         )
     return notes
 
@@ -149,3 +154,22 @@ def _losses(model: GaussianModel, kind: Kind) -> Iterator[str]:
 def _counted(model: GaussianModel, rows: npt.NDArray[np.intp]) -> str:
     noun = "Gaussian" if len(rows) == 1 else "Gaussians"
     return f"{len(rows):,} {noun} (first in row {model.row_of(int(rows[0]))})"
+
+
+def stray_rows(means: Float32) -> Bool:
+    """(N,) which of the centers (N, 3) are strays: few, and beyond `STRAY_DISTANCE` times the extent of the others."""
+    points = means.astype(np.float64)
+    distance = np.abs(points - np.median(points, axis=0)).max(axis=1)
+    kth = int((1 - STRAY_SHARE) * (len(distance) - 1))
+    extent = np.partition(distance, kth)[kth]
+    return np.asarray((distance > STRAY_DISTANCE * extent) & (extent > 0))
+
+
+def unheld_rows(model: GaussianModel, kind: Kind) -> Bool:
+    """(N,) the strays that a format cannot hold without rounding the others by more than `VISIBLE_ROUNDING`."""
+    strays = stray_rows(model.means) if kind.step else np.zeros(len(model), dtype=np.bool_)
+    if kind.step and strays.any():
+        size = float(np.exp(np.median(model.log_scales[~strays].astype(np.float64).mean(axis=1))))
+        if kind.step(model.means.astype(np.float64)) / 2 <= VISIBLE_ROUNDING * size:
+            strays[:] = False
+    return strays

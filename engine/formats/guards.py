@@ -1,10 +1,12 @@
 """What is checked before an untrusted file is read: what it is, and how much it may make the reader allocate."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from engine.errors import FormatError, InputError
+from engine.numerics.plain import Json
 
 FREE_COUNT = 1 << 20
 """Any file may hold this many: some 300 MB while it is read."""
@@ -36,6 +38,17 @@ def check_count(count: int, size: int, *, file: str) -> None:
         raise FormatError(f"claims {count} Gaussians in {size} bytes", file=file)
 
 
+def json_object(text: bytes, *, file: str, element: str) -> Json:
+    """The object that is the whole of a JSON text; FormatError where there is none."""
+    try:
+        parsed = json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        raise FormatError(f"is no JSON ({ascii(str(fault))[:120]})", file=file, element=element) from None
+    if not isinstance(parsed, dict):
+        raise FormatError("is no JSON object", file=file, element=element)
+    return parsed
+
+
 @contextmanager
 def opening(path: Path, file: str) -> Iterator[None]:
     """Say what is wrong with a path, called `file`, as InputError: it is no name, or may not be opened."""
@@ -52,3 +65,14 @@ def read_regular(path: Path, file: str) -> bytes:
     if path.exists() and not path.is_file():
         raise InputError(f"{file}: is no regular file")
     return path.read_bytes()
+
+
+def beside(folder: Path, name: str, file: str) -> Path:
+    """A file in the folder or below it, by a path of any system, which may be one of another machine; FormatError where
+    there is none."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part]
+    for path in (folder.joinpath(*parts), folder / parts[-1] if parts else folder):
+        if "\0" not in name and path.is_file() and path.resolve().is_relative_to(folder.resolve()):
+            return path
+    message = f"names {name[:80]!a}, which is not beside it: give its materials and textures together with it"
+    raise FormatError(message, file=file)

@@ -6,14 +6,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from PIL import Image, ImageChops, ImageCms, ImageFile, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageChops, ImageCms, ImageFile, UnidentifiedImageError
 
 from engine.errors import FormatError, InputError
 from engine.formats.color_coding import coding_of
 from engine.formats.kinds.splat import looks_like_splat
 from engine.formats.other_files import RAW_ENDINGS, RAW_PHOTO
-from engine.model import Float32, Float64
+from engine.model import Float32
 
 MAX_PICTURE_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded: no screen or phone makes them."""
@@ -24,27 +23,23 @@ _DNG_VERSION, _BITS, _PLANES, _SEPARATE = 50706, 258, 284, 2  # tags, and a valu
 _SRGB = ImageCms.createProfile("sRGB")
 _ROUNDING = 2  # levels of 255
 _MAX_HEAD = 1 << 16  # bytes
+_AV1 = re.compile(rb"av1C\x81.(.)", re.DOTALL)  # AVIF's bits a channel: AV1-ISOBMFF, 2.3.3
 
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
 
-def _starts_like_picture(head: bytes) -> bool:
-    """Whether 64 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
-    webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
-    avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
-    return webp or avif or head.startswith(_MAGICS)
-
-
 def is_picture(path: Path, name: str = "") -> bool:
-    """Whether a file starts like a picture, whatever its name (`name`, or its path's own) says: except for a .splat
-    that is one by its rows, since its first number may be any bytes."""
+    """Whether a file starts like a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF, whatever its name (`name`, or its path's
+    own) says: except for a .splat that is one by its rows, since its first number may be any bytes."""
     if path.is_dir():
         return False
     try:
         with path.open("rb") as file:
-            starts = _starts_like_picture(file.read(64))
+            head = file.read(64)
+        webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
+        avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
         named = (name or path.name).lower().endswith(".splat")
-        return starts and not (named and looks_like_splat(path.read_bytes()))
+        return (webp or avif or head.startswith(_MAGICS)) and not (named and looks_like_splat(path.read_bytes()))
     except OSError as error:
         raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
@@ -58,10 +53,14 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(opened) as picture:  # of damage that is read around
             check_picture(picture, file)
-            coding = coding_of(_head(picture), picture.info) if managed else None
+            head = _head(picture)
+            coding = coding_of(head, picture.info) if managed else None
             picture.load()
-            upright = ImageOps.exif_transpose(picture)
-            upright = _in_srgb(upright) if managed and coding is None else upright
+            turn = picture.getexif().get(ExifTags.Base.Orientation, 1) - 1
+            profiled = managed and coding is None and "icc_profile" in picture.info
+            values = None if profiled or "transparency" in picture.info else _deep_values(head, source)
+            if values is None:
+                values = _values(_in_srgb(picture) if profiled else picture, layers=picture.format != "BMP")
     except FormatError:
         raise
     except Image.DecompressionBombError as error:
@@ -74,7 +73,7 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
             )
             raise FormatError(text, file=file) from error
         raise FormatError(f"no readable picture ({error})", file=file) from error
-    values = _values(upright, layers=picture.format != "BMP")
+    values = np.ascontiguousarray(_upright(values, turn))
     return values if coding is None else coding.to_srgb(values)
 
 
@@ -87,6 +86,31 @@ def _head(picture: ImageFile.ImageFile) -> bytes:
     head: bytes = picture.fp.read(min(at, _MAX_HEAD))
     picture.fp.seek(at)
     return head
+
+
+def _deep_values(head: bytes, source: Path | bytes) -> Float32 | None:
+    """(H, W, 3) from 0 to 1, over black, of a PNG or an AVIF in color of more than 8 bits, which are all that Pillow
+    keeps; None of any other picture."""
+    bits = head[24] if head.startswith(b"\x89PNG") and head[25] else 0
+    if av1 := _AV1.search(head):
+        bits = 12 if av1[1][0] & 0x20 else 10 if av1[1][0] & 0x40 else 8
+    if bits <= 8:
+        return None
+    import cv2  # a heavy import that few pictures need
+
+    data = source if isinstance(source, bytes) else source.read_bytes()
+    levels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if levels is None or levels.dtype != np.uint16:
+        return None
+    values = np.atleast_3d(levels).astype(np.float32) / np.float32(2**bits - 1)
+    colors = values[..., 2::-1] * values[..., 3:] if values.shape[2] == 4 else values[..., 2::-1]
+    return np.broadcast_to(colors, (*colors.shape[:2], 3))
+
+
+def _upright(values: Float32, turn: int) -> Float32:
+    """As Exif's orientation, less one, says: 4 to 7 are 0 to 3 with rows and columns exchanged before."""
+    values = values.swapaxes(0, 1) if 4 <= turn < 8 else values
+    return values[:: -1 if turn % 4 >= 2 else 1, :: -1 if turn % 4 in (1, 2) else 1] if 0 < turn < 8 else values
 
 
 def _values(picture: Image.Image, *, layers: bool) -> Float32:
@@ -120,21 +144,10 @@ def check_picture(picture: Image.Image, file: str) -> None:
         raise FormatError("holds numbers of 32 bits, of no agreed range: save it as PNG, as it is displayed", file=file)
 
 
-def nearest_pixels(pixels: Float32, at: npt.NDArray[np.floating]) -> Float64:
-    """(N, 3) values of the pixels nearest to texture coordinates (N, 2), from 0 to 1 to the right and down; the picture
-    (H, W, 3) repeats beyond its borders."""
-    height, width = pixels.shape[:2]
-    sound = np.where(np.isfinite(at), at, 0.0).astype(np.float64) % 1.0
-    column, row = (np.minimum((sound[:, i] * n).astype(np.int64), n - 1) for i, n in ((0, width), (1, height)))
-    return np.asarray(pixels[row, column], dtype=np.float64)
-
-
 def _in_srgb(picture: Image.Image) -> Image.Image:
     """The picture in sRGB, where it has a color profile (screenshots of a wide-gamut display, printers' CMYK) that can
     be used and makes a difference."""
-    profile = picture.info.get("icc_profile")
-    if not profile:
-        return picture
+    profile = picture.info["icc_profile"]
     keyed = "transparency" in picture.info
     plain = picture.convert("RGBA" if keyed else "RGB") if keyed or picture.mode == "P" else picture
     output = "RGBA" if plain.mode == "RGBA" else "RGB"

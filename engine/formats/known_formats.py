@@ -7,8 +7,6 @@ from engine.errors import UnsupportedFormatError
 from engine.formats import kinds
 from engine.formats.declaration import Kind
 
-__all__ = ["FORMATS", "KINDS", "KIND_BY_NAME", "READ", "kind_of"]
-
 
 def _declared() -> tuple[Kind, ...]:
     modules = sorted(module.name for module in pkgutil.iter_modules(kinds.__path__))

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,12 @@ from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
 from engine.formats.known_formats import KINDS, READ
 from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
+from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
+_MODELS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
+_WRITTEN_BY_HAND = ("ply", "glb")  # by scripts of many, which mistake the order of a quaternion
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,8 @@ def _decode(data: bytes, file: str, spz_frame: str) -> LoadedModel:
         kind, (model, repairs) = _read(data, file, spz_frame)
     except MemoryError:
         raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
-    return LoadedModel(model, kind.name, repairs, len(data), hashlib.sha256(data).hexdigest())
+    hints = order_hint(model) if kind.name in _WRITTEN_BY_HAND else ()
+    return LoadedModel(model, kind.name, (*repairs, *hints), len(data), hashlib.sha256(data).hexdigest())
 
 
 def _read(data: bytes, file: str, spz_frame: str) -> tuple[Kind, Read]:
@@ -110,7 +115,12 @@ def _read_folder(path: Path, file: str) -> LoadedModel:
         there = sorted(path.iterdir(), key=lambda p: p.name)
         names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix in (".webp", ".png")))
     else:
-        raise UnsupportedFormatError(f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene", file=file)
+        message = f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene"
+        models = [p for ending in _MODELS for p in (*path.glob(f"*{ending}"), *path.glob(f"point_cloud/*/*{ending}"))]
+        if models:
+            latest = max(models, key=lambda p: [int(n) for n in re.findall(r"\d+", p.parent.name)])
+            message += f"; give a model in it, such as {str(latest.relative_to(path))[:120]!a}"
+        raise UnsupportedFormatError(message, file=file)
     return LoadedModel(model, "sog", repairs, *weigh_files(path, names))
 
 

@@ -14,8 +14,6 @@ import numpy as np
 from engine.formats.repairs import LOG_SCALE_RANGE
 from engine.model import DISC_THICKNESS, GaussianModel
 
-__all__ = ["ANTIALIASED", "DISCS", "comment_of", "mode_of", "mode_of_comments", "with_mode"]
-
 ANTIALIASED, DISCS = "antialiased", "2dgs"
 
 _COMMENT = re.compile(r"\s*(?:splatrendermode:\s*(\w+)|antialiased\s+(\d+))\s*", re.IGNORECASE)

@@ -9,11 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
-from engine.formats.guards import read_regular, read_small
-from engine.formats.image_files import MAX_PIXELS_TOGETHER, nearest_pixels, read_picture
+from engine.formats.guards import beside, read_small
+from engine.formats.textures import Textures
 from engine.model import Float32
-
-__all__ = ["read_obj"]
 
 _LINE = 1 << 16
 """Bytes that are looked at of a line: faces of a few thousand corners."""
@@ -35,17 +33,12 @@ def read_obj(data: bytes, folder: Path | None, *, file: str) -> tuple[Float32, F
     if not (maps := _maps(data, folder, file)):
         return None
     owner, coordinate = _first_uses(data, len(corners), len(at), list(maps), file)
-    colors, seen, left = np.zeros((len(corners), 3), np.float32), np.zeros(len(corners), np.bool_), MAX_PIXELS_TOGETHER
+    colors, seen, textures = np.zeros((len(corners), 3), np.float32), np.zeros(len(corners), np.bool_), Textures(file)
     for number, path in enumerate(maps.values()):
         rows = np.flatnonzero(owner == number)
-        if not len(rows):
-            continue
-        pixels = read_picture(read_regular(path, path.name), path.name, managed=False)
-        left -= pixels.size // 3
-        if left < 0:
-            raise FormatError(f"its textures have more than {MAX_PIXELS_TOGETHER:,} pixels", file=file)
-        colors[rows] = nearest_pixels(pixels, at[coordinate[rows]] * [1, -1] + [0, 1])  # v goes up
-        seen[rows] = True
+        if len(rows):
+            colors[rows] = textures.sample(path, at[coordinate[rows]] * [1, -1] + [0, 1])  # v goes up
+            seen[rows] = True
     return (corners[seen], colors[seen]) if seen.any() else None
 
 
@@ -71,29 +64,19 @@ def _maps(data: bytes, folder: Path, file: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for library in {_rest(line) for line in _lines(data, b"mtllib")}:
         name = ""
-        for line in read_small(_beside(folder, library, file)).splitlines():
+        for line in read_small(beside(folder, library, file)).splitlines():
             keyword = line.split(maxsplit=1)[0] if line.strip() else b""
             if keyword == b"newmtl":
                 name = _rest(line)
             elif keyword.lower() == b"map_kd":
                 rest = _rest(line)
-                found[name] = _beside(folder, rest.split()[-1] if rest.startswith("-") else rest, file)
+                found[name] = beside(folder, rest.split()[-1] if rest.startswith("-") else rest, file)
     return found
 
 
 def _rest(line: bytes) -> str:
     words = line.strip().split(maxsplit=1)
     return words[1].decode("utf-8", "replace").strip('"') if len(words) > 1 else ""
-
-
-def _beside(folder: Path, name: str, file: str) -> Path:
-    """A file in the folder or below it, by a path of any system, which may be one of another machine."""
-    parts = [part for part in name.replace("\\", "/").split("/") if part]
-    for path in (folder.joinpath(*parts), folder / parts[-1] if parts else folder):
-        if "\0" not in name and path.is_file() and path.resolve().is_relative_to(folder.resolve()):
-            return path
-    message = f"names {name[:80]!a}, which is not beside it: give its materials and textures together with it"
-    raise FormatError(message, file=file)
 
 
 def _first_uses(

@@ -5,8 +5,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["RAW_ENDINGS", "RAW_PHOTO", "ZIP_WITHOUT_SCENE", "advice_for", "changed_as_text"]
-
 RAW_PHOTO = "is a camera's raw file: save the developed picture as PNG or JPEG"
 RAW_ENDINGS = (".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw", ".dng")
 
@@ -79,6 +77,12 @@ _KINDS = (
         (b"RAD0",),
         endings=(".rad",),
     ),
+    _Other(
+        "is a scene that moves (.splatv), or one for another viewer (.spx, which gsbox converts: gsbox spx2ply): give"
+        " the .ply that it was made from",
+        (b"KG\0\0", b"spx"),
+        endings=(".splatv", ".spx"),
+    ),
     _Other("is a Postshot project: export the scene as .ply (File > Export)", endings=(".psht",)),
     _Other(
         "is a list of 3D Tiles, or a tile of a version before 1.1: give one of the .glb files with Gaussians that a"
@@ -146,7 +150,7 @@ _KINDS = (
     _Other(
         "is an asset of Unity or Unreal: give the .ply that it was imported from",
         (b"%YAML 1.1\n%TAG !u!", b"\xc1\x83\x2a\x9e"),
-        endings=(".asset", ".uasset", ".unitypackage"),
+        endings=(".asset", ".uasset", ".unitypackage", ".bytes"),
     ),
     _Other("holds nothing but zeros: copy or download it again", holds=lambda data: not data.strip(b"\0")),
 )

@@ -8,11 +8,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-__all__ = ["LIBRARY_VERSION", "ZstdError", "compress", "content_size", "decompress"]
-
 ZstdError = zstd.ZstdError
-LIBRARY_VERSION = zstd.zstd_version_info
-"""Of the C library: with another one, the same content may take other bytes."""
 
 _PIECE = 1 << 17
 

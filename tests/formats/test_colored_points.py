@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import json
+import struct
 import tracemalloc
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +16,7 @@ import pytest
 from PIL import Image
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.gltf.container import unpack
 from engine.formats.points import read_points
 from engine.model import SH_C0
 from engine.numerics.srgb import from_linear, to_linear
@@ -132,7 +136,7 @@ def test_damaged_textures_are_named(change: dict[str, Any], words: str) -> None:
 
 
 def test_textures_have_no_more_pixels_than_the_pictures_of_a_suspect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("engine.formats.gltf.corners.MAX_PIXELS_TOGETHER", 5)
+    monkeypatch.setattr("engine.formats.textures.MAX_PIXELS_TOGETHER", 5)
     with pytest.raises(FormatError, match="more than 5 pixels"):
         read_points(textured(np.zeros((6, 2))), file="x")
 
@@ -254,3 +258,102 @@ def test_packed_meshes_are_refused_with_the_command_that_unpacks_them(name: str,
     (tmp_path / "a.glb").write_bytes(textured(np.zeros((6, 2)), extensionsRequired=[name]))
     with pytest.raises(UnsupportedFormatError, match=rf"packed \({name}\).*gltf-transform/cli copy"):
         read_suspect(tmp_path / "a.glb")
+
+
+def parted(folder: Path, **changes: Any) -> Path:
+    """The mesh of `textured` as a .gltf with its buffer and its picture in files of their own."""
+    at = np.stack([(np.arange(6) + 0.5) / 6, np.full(6, 0.3)], axis=1)
+    whole = unpack(textured(at), file="x")
+    view = whole.row("bufferViews", 2)
+    (folder / "the mesh.bin").write_bytes(whole.binary)
+    (folder / "maps").mkdir(exist_ok=True)
+    picture = bytes(whole.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+    (folder / "maps" / "skin.png").write_bytes(picture)
+    said = {
+        "buffers": [{"byteLength": len(whole.binary), "uri": "the%20mesh.bin"}],
+        "images": [{"uri": "maps/skin.png"}],
+    }
+    (folder / "mesh.gltf").write_text(json.dumps({**whole.json, **said, **changes}))
+    return folder / "mesh.gltf"
+
+
+def test_a_gltf_names_buffers_and_textures_beside_it(tmp_path: Path) -> None:
+    loaded = read_suspect(parted(tmp_path))
+    np.testing.assert_allclose(loaded.model.means, PLACES, atol=1e-6)
+    np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
+    inside = "data:image/png;base64," + base64.b64encode((tmp_path / "maps" / "skin.png").read_bytes()).decode()
+    loaded = read_suspect(parted(tmp_path, images=[{"uri": inside}]))
+    np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
+
+
+def test_a_gltf_names_no_file_outside_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    Image.new("RGB", (6, 1)).save(tmp_path / "outside.png")
+    (tmp_path / "below" / "link.png").symlink_to(tmp_path / "outside.png")
+    for uri in ("../outside.png", "%2e%2e/outside.png", "link.png", "/etc/hostname", "https://host/a.png", "a%00.png"):
+        with pytest.raises(FormatError, match="not beside it"):
+            read_suspect(parted(tmp_path / "below", images=[{"uri": uri}]))
+        with pytest.raises(FormatError, match="not beside it"):
+            read_suspect(parted(tmp_path / "below", buffers=[{"byteLength": 9, "uri": uri}]))
+    with pytest.raises(UnsupportedFormatError, match="holds no Gaussians"):  # of the network: no file is opened
+        read_suspect(parted(tmp_path), name="upload.gltf")
+
+
+def ply_mesh(folder: Path, comments: str, faces: str, vertex: str = "", rows: Any = None, kind: str = "ascii") -> Path:
+    """Six vertices, and faces as a triangle and six coordinates each, with the texture of `obj_with`."""
+    obj_with(folder, "")
+    corners = [[0, 1, 2], [3, 4, 5], [0, 1, 2]]
+    at = [[0, 1, 2], [3, 4, 5], [5, 5, 5]]
+    head = f"ply\nformat {kind} 1.0\n{comments}element vertex 6\n"
+    head += "".join(f"property float {n}\n" for n in "xyz") + vertex + f"element face {len(corners)}\n"
+    head += f"property list uchar int vertex_indices\n{faces}end_header\n"
+    body = b""
+    for k in range(6):
+        row = [*PLACES[k].tolist(), *([] if rows is None else rows[k])]
+        body += (" ".join(map(str, row)) + "\n").encode() if kind == "ascii" else struct.pack(f"<{len(row)}f", *row)
+    for corner, place in zip(corners, at, strict=True):
+        uv = [value for p in place for value in ((p + 0.5) / 6, 0.3)] if faces else []
+        last = [0] if "texnumber" in faces else []
+        row = [3, *corner, *([6, *uv] if uv else []), *last]
+        packed = struct.pack("<B3i", 3, *corner) + (struct.pack("<B6f", 6, *uv) if uv else b"")
+        packed += struct.pack("<i", 0) if last else b""
+        body += (" ".join(map(str, row)) + "\n").encode() if kind == "ascii" else packed
+    (folder / "mesh.ply").write_bytes(head.encode() + body)
+    return folder / "mesh.ply"
+
+
+CORNERED = "property list uchar float texcoord\n"
+NUMBERED = CORNERED + "property int texnumber\n"
+NAMED = "comment VCGLIB generated\ncomment TextureFile skin.png\n"
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("faces", [CORNERED, NUMBERED])
+def test_the_texture_of_a_ply_gives_its_corners_colors(faces: str, kind: str, tmp_path: Path) -> None:
+    loaded = read_suspect(ply_mesh(tmp_path, NAMED, faces, kind=kind))
+    assert loaded.format == "points"
+    np.testing.assert_allclose(loaded.model.means, PLACES, atol=1e-6)
+    np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
+
+
+@pytest.mark.parametrize("names", ["st", "uv"])
+def test_a_ply_may_have_its_coordinates_at_its_vertices(names: str, tmp_path: Path) -> None:
+    vertex = "".join(f"property float {n}\n" for n in names)
+    path = ply_mesh(tmp_path, NAMED, "", vertex, [[(k + 0.5) / 6, 0.3] for k in range(6)])
+    np.testing.assert_allclose(0.5 + SH_C0 * read_suspect(path).model.sh[:, 0], COLORS, atol=0.003)
+
+
+def test_textures_of_a_ply_that_are_missing_are_named(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    Image.new("RGB", (6, 1)).save(tmp_path / "outside.png")
+    for name in ("gone.png", "../outside.png", "/etc/hostname"):
+        with pytest.raises(FormatError, match="not beside it"):
+            read_suspect(ply_mesh(tmp_path / "below", f"comment TextureFile {name}\n", CORNERED))
+    path = ply_mesh(tmp_path, NAMED, CORNERED)
+    with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):  # of the network: no file is opened
+        read_suspect(path, name="upload.ply")
+    with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):
+        read_suspect(ply_mesh(tmp_path, "", CORNERED))
+    path.write_bytes(ply_mesh(tmp_path, NAMED, CORNERED).read_bytes().replace(b"\n3 0 1 2", b"\n3 0 1 9"))
+    with pytest.raises(FormatError, match="names vertex 9"):
+        read_suspect(path)

@@ -6,6 +6,7 @@ import warnings
 import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image, ImageCms, features
@@ -126,6 +127,32 @@ def test_a_page_that_an_hdr_desktop_shows_brighter_is_scaled_to_white() -> None:
     signal[39, 39] = 0.9  # one glint
     read = read_picture(png_with(signal, (b"cICP", bytes([9, 16, 0, 1]))))
     np.testing.assert_allclose([read[0, 0, 0], read[30, 0, 0]], [0.571, 1.0], atol=0.02)
+
+
+def test_all_bits_of_a_picture_are_read(tmp_path: Path) -> None:
+    ramp = np.linspace(0.25, 0.26, 64)[None, :, None] + np.array([0, 0.1, 0.2])  # 2.5 steps of 8 bits
+    np.testing.assert_allclose(read_picture(png_with(ramp)), ramp, atol=2e-5)
+    hdr = read_picture(png_with(ramp, (b"cICP", bytes([9, 16, 0, 1]))))[0, :, 2]
+    assert (np.diff(hdr) > 0).all()
+    for turn, expected in ((6, np.rot90(ramp, -1)), (5, ramp.swapaxes(0, 1)), (7, ramp[::-1, ::-1].swapaxes(0, 1))):
+        exif = b"MM\0*\0\0\0\x08\0\1\1\x12\0\3\0\0\0\1" + struct.pack(">HHI", turn, 0, 0)
+        np.testing.assert_allclose(read_picture(png_with(ramp, (b"eXIf", exif))), expected, atol=2e-5)
+    # half transparent, over black
+    levels = np.rint(np.dstack([ramp[..., ::-1], np.full(ramp.shape[:2], 0.5)]) * 65535).astype(np.uint16)
+    (tmp_path / "a.png").write_bytes(cv2.imencode(".png", levels)[1])
+    np.testing.assert_allclose(read_picture(tmp_path / "a.png"), ramp / 2, atol=3e-5)
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_all_bits_of_an_avif_are_read(bits: int) -> None:
+    ramp = np.linspace(0.25, 0.26, 64)[None, :, None] + np.array([0, 0.1, 0.2])
+    levels = np.rint(np.repeat(ramp[..., ::-1], 16, axis=0) * (2**bits - 1)).astype(np.uint16)
+    try:
+        made, data = cv2.imencode(".avif", levels, [cv2.IMWRITE_AVIF_DEPTH, bits, cv2.IMWRITE_AVIF_QUALITY, 100])
+    except cv2.error:
+        pytest.skip("this OpenCV was built without AVIF")
+    assert made
+    np.testing.assert_allclose(read_picture(data.tobytes())[8], ramp[0], atol=1 / 2**bits)
 
 
 def test_a_color_profile_counts_before_an_avifs_own_code_points() -> None:

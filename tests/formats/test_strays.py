@@ -6,8 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from engine.formats import FORMATS, encode_model, read_model
-from engine.formats.file_writing import loss_note
-from engine.formats.strays import stray_rows
+from engine.formats.file_writing import loss_note, stray_rows
 from engine.model import GaussianModel
 from tests.formats.models import random_model
 

@@ -22,7 +22,7 @@ from engine.flows.progress import Clock
 from engine.flows.views.camera_rig import Extent, make_rig, measure_extent
 from engine.flows.views.render_cost import check_drawable
 from engine.flows.views.view_set import ViewSet, look
-from engine.formats.strays import stray_rows
+from engine.formats.file_writing import stray_rows
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.keys import POSE, OwnerKey, uniform

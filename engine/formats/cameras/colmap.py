@@ -145,7 +145,9 @@ def _text_images(data: bytes, file: str) -> list[_Image]:
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
         if line.startswith("#"):
             continue
-        if points_follow or not line.strip():
+        # Some programs leave the lines of points out; those end with a point's number, an image with its name.
+        last = line[-40:].split()[-1:]
+        if not last or (points_follow and last[0].lstrip("-").isdigit()):
             points_follow = False
             continue
         words = line.split(maxsplit=9)
@@ -166,15 +168,14 @@ class _Reader:
         self.data, self.file, self.at = data, file, 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
-        size = struct.calcsize(layout)
-        self.need(size)
-        values = struct.unpack_from(layout, self.data, self.at)
-        self.at += size
-        return values
+        return struct.unpack_from(layout, self.data, self.skip(struct.calcsize(layout)))
 
-    def need(self, size: int) -> None:
+    def skip(self, size: int) -> int:
+        """Where these bytes begin."""
         if size > len(self.data) - self.at:
             raise CameraError(f"{self.file}: ends after {len(self.data)} bytes, in the middle of an entry")
+        self.at += size
+        return self.at - size
 
     def text(self) -> str:
         end = self.data.find(b"\0", self.at, self.at + 4096)
@@ -208,7 +209,6 @@ def _binary_images(data: bytes, file: str) -> list[_Image]:
         values = reader.take("<i7di")
         name = reader.text()
         (points,) = reader.take("<Q")
-        reader.need(24 * points)
-        reader.at += 24 * points
+        reader.skip(24 * points)
         images.append(_Image(name, values[1:5], values[5:8], values[8], f"{file}: entry {k} ({name[:80]})"))
     return images

@@ -71,7 +71,7 @@ def read_nerf(content: Json, file: str, folder: Path, moved: Json | None = None)
         if not isinstance(frame, dict):
             raise CameraError(f"{where}: is no object")
         entry = {**content, **frame}  # a frame's own intrinsics come first
-        model = entry.get("camera_model", "OPENCV")
+        model = _FISHEYE if entry.get("is_fisheye") is True else entry.get("camera_model", "OPENCV")  # instant-ngp's
         if model not in (*_PINHOLES, _FISHEYE):
             message = (
                 f"camera_model {str(model)[:40]!r} is no pinhole and no {_FISHEYE}: leave --cameras out, and cameras"
@@ -83,6 +83,9 @@ def read_nerf(content: Json, file: str, folder: Path, moved: Json | None = None)
         fx = _focal(entry, "fl_x", "camera_angle_x", width, where)
         fy = _focal(entry, "fl_y", "camera_angle_y", height, where, fx)
         K = _intrinsics(fx, fy, _number(entry, "cx", where, width / 2), _number(entry, "cy", where, height / 2))
+        rows = entry.get("transform_matrix")
+        if isinstance(rows, list) and len(rows) == 3:  # without the last row, which is always the same
+            entry["transform_matrix"] = [*rows, [0, 0, 0, 1]]
         pose = _matrix(entry, "transform_matrix", (4, 4), where)
         distortion = {key: _number(entry, key, where, 0.0) for key in _DISTORTION}
         bends = tuple(distortion[f"k{k}"] for k in (1, 2, 3, 4)) if model == _FISHEYE else None

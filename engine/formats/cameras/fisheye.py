@@ -10,8 +10,6 @@ import numpy.typing as npt
 from engine.errors import CameraError
 from engine.model import Camera, Float32
 
-__all__ = ["FisheyeCamera", "without_fisheyes"]
-
 _ANGLES = 64  # from the axis to a corner, at which the lens is looked at
 
 

@@ -1,4 +1,4 @@
-"""A glTF asset as its JSON and the bytes of its buffers: a GLB, or a .gltf that carries its buffers in data URIs.
+"""A glTF asset as its JSON and the bytes of its buffers: a GLB, or a .gltf with buffers in data URIs or beside it.
 
 Khronos Group, "glTF 2.0 Specification", sections 3.6 (buffers, accessors) and 4 (GLB).
 """
@@ -6,18 +6,20 @@ Khronos Group, "glTF 2.0 Specification", sections 3.6 (buffers, accessors) and 4
 import base64
 import binascii
 import json
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.guards import beside, json_object, read_regular
 from engine.numerics.plain import Json
-
-__all__ = ["MAGIC", "MAX_JSON_BYTES", "UNPACK", "Asset", "pack_glb", "unpack"]
 
 MAGIC = b"glTF"
 MAX_JSON_BYTES = 1 << 24
@@ -28,7 +30,7 @@ UNPACK = "unpack it (npx @gltf-transform/cli copy FILE unpacked.glb)"
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-_DATA_URI = ("data:application/octet-stream;base64,", "data:application/gltf-buffer;base64,")
+_DATA_URI = re.compile(r"data:[\w.+/-]*;base64,")
 _CODES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _PADDING = {_JSON: b" ", _BIN: b"\0"}
@@ -41,7 +43,8 @@ class Asset:
     json: Mapping[str, Any]
     binary: memoryview
     file: str
-    decoded: dict[int, memoryview] = field(default_factory=dict)  # buffers out of data URIs
+    folder: Path | None = None  # whose files it may name
+    decoded: dict[int, memoryview] = field(default_factory=dict)  # buffers out of data URIs, or other files
 
     def rows(self, kind: str) -> list[Any]:
         """A list at the top of the JSON, empty where there is none; FormatError if it is no list."""
@@ -63,6 +66,12 @@ class Asset:
     def fault(self, message: str, element: str, prop: str | None = None) -> FormatError:
         """What is wrong, and where."""
         return FormatError(message, file=self.file, element=element, prop=prop)
+
+    @property
+    def size_beside(self) -> int:
+        """Bytes of its buffers in other files."""
+        rows = self.rows("buffers") if self.folder else []
+        return sum(len(self._buffer(k)) for k in range(len(rows)) if "uri" in self.row("buffers", k))
 
     def length(self, index: object) -> int:
         """Number of rows that an accessor claims."""
@@ -121,21 +130,28 @@ class Asset:
             if index != 0 or not len(self.binary):
                 raise self.fault(f"buffer {index} is nowhere: there is no binary chunk", "buffers")
             return self.binary
-        if not isinstance(uri, str) or not uri.startswith(_DATA_URI):
-            message = f"buffer {index} lies in another file ({uri!r:.60}); give the scene as .glb"
-            raise UnsupportedFormatError(message, file=self.file, element="buffers")
-        try:
-            self.decoded[index] = memoryview(base64.b64decode(uri[uri.index(",") + 1 :], validate=True))
-        except (binascii.Error, ValueError):
-            raise self.fault(f"buffer {index} is no base64", "buffers") from None
+        self.decoded[index] = memoryview(self.resource(uri, f"buffer {index}", "buffers"))
         return self.decoded[index]
 
+    def resource(self, uri: object, what: str, element: str) -> bytes:
+        """The bytes that a URI stands for; UnsupportedFormatError where they lie in another file that is not given."""
+        if isinstance(uri, str) and _DATA_URI.match(uri):
+            try:
+                return base64.b64decode(uri[uri.index(",") + 1 :], validate=True)
+            except (binascii.Error, ValueError):
+                raise self.fault(f"{what} is no base64", element) from None
+        if not isinstance(uri, str) or self.folder is None:
+            message = f"{what} lies in another file ({uri!r:.60}); give the scene as .glb"
+            raise UnsupportedFormatError(message, file=self.file, element=element)
+        path = beside(self.folder, unquote(uri), self.file)
+        return read_regular(path, str(path))
 
-def unpack(data: bytes, *, file: str) -> Asset:
-    """Take an asset apart. FormatError if a GLB's lengths do not agree, or the JSON is none; UnsupportedFormatError for
-    another version than 2."""
+
+def unpack(data: bytes, *, file: str, folder: Path | None = None) -> Asset:
+    """Take an asset apart, which may name files in the folder, if one is given. FormatError if a GLB's lengths do not
+    agree, or the JSON is none; UnsupportedFormatError for another version than 2."""
     if data[:4] != MAGIC:
-        return Asset(_parse(data, file, limit=len(data)), memoryview(b""), file)
+        return Asset(_parse(data, file, limit=len(data)), memoryview(b""), file, folder)
     if len(data) < _HEADER.size + _CHUNK.size:
         raise FormatError(f"has {len(data)} bytes, its headers alone take {_HEADER.size + _CHUNK.size}", file=file)
     _, version, total = _HEADER.unpack_from(data)
@@ -150,14 +166,14 @@ def unpack(data: bytes, *, file: str) -> Asset:
     parsed = _parse(data[start : start + length], file, limit=MAX_JSON_BYTES)
     start += length
     if start == total:
-        return Asset(parsed, memoryview(b""), file)
+        return Asset(parsed, memoryview(b""), file, folder)
     if start + _CHUNK.size > total:
         raise FormatError("a chunk's header is cut off", file=file)
     length, kind = _CHUNK.unpack_from(data, start)
     start += _CHUNK.size
     if kind != _BIN or start + length > total:
         raise FormatError(f"the second chunk is {kind:#010x} of {length} bytes", file=file, element="header")
-    return Asset(parsed, memoryview(data)[start : start + length], file)
+    return Asset(parsed, memoryview(data)[start : start + length], file, folder)
 
 
 def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
@@ -174,13 +190,7 @@ def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
 def _parse(text: bytes, file: str, limit: int) -> Json:
     if len(text) > limit:
         raise FormatError(f"its JSON has {len(text)} bytes, more than {limit}", file=file)
-    try:
-        parsed = json.loads(text)
-    except (ValueError, RecursionError) as fault:
-        raise FormatError(f"is no JSON ({ascii(str(fault))[:120]})", file=file, element="JSON") from None
-    if not isinstance(parsed, dict):
-        raise FormatError("is no JSON object", file=file, element="JSON")
-    return parsed
+    return json_object(text, file=file, element="JSON")
 
 
 def _whole(asset: Asset, row: Mapping[str, Any], key: str, element: str, default: int | None = None) -> int:

@@ -5,6 +5,8 @@ linear light.
 """
 
 from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,33 +16,33 @@ from engine.errors import FormatError
 from engine.formats.gltf.container import Asset, unpack
 from engine.formats.gltf.nodes import primitives_of, shown_meshes
 from engine.formats.guards import check_count
-from engine.formats.image_files import MAX_PIXELS_TOGETHER, nearest_pixels, read_picture
+from engine.formats.textures import Textures
 from engine.model import Float32, Float64
 from engine.numerics.srgb import from_linear, to_linear
-
-__all__ = ["read_corners"]
 
 _UNDERSTOOD = {"KHR_mesh_quantization", "KHR_materials_unlit", "EXT_texture_webp"}
 _AS_SHOWN = ("trimesh", "open3d", "tinygltf", "meshlab", "vcg")
 """Parts of the names of programs that store colors at corners as screens show them, against the specification."""
 
 
-def read_corners(data: bytes, *, file: str) -> tuple[Float32, Float32] | None:
+def read_corners(data: bytes, folder: Path | None, *, file: str) -> tuple[Float32, Float32] | None:
     """Places and colors (0 to 1, as screens show them), (N, 3) each, of all that the scene shows; None where nothing
-    has colors, or the asset needs an extension that is not understood. Errors are those of `read_gltf`."""
-    asset = unpack(data, file=file)
+    has colors, or the asset needs an extension that is not understood. The `folder`, if given, is that of the files
+    that it may name. Errors are those of `read_gltf`."""
+    asset = unpack(data, file=file, folder=folder)
     if not set(map(str, asset.rows("extensionsRequired"))) <= _UNDERSTOOD:
         return None
     shown = [
         (primitive, matrix)
         for mesh, matrix in shown_meshes(asset)
         for primitive in primitives_of(asset, mesh)
-        if _has_colors(asset, primitive)
+        if _has_colors(asset, primitive) and "gaussian_splat" not in str(primitive.get("extensions"))  # of any draft
     ]
     if not shown:
         return None
-    check_count(sum(asset.length(each["attributes"].get("POSITION")) for each, _ in shown), len(data), file=file)
-    textures = _Textures(asset)
+    size = len(data) + asset.size_beside
+    check_count(sum(asset.length(each["attributes"].get("POSITION")) for each, _ in shown), size, file=file)
+    textures = Textures(file)
     places, colors = zip(*(_corners(asset, primitive, matrix, textures) for primitive, matrix in shown), strict=True)
     return np.concatenate(places), np.concatenate(colors)
 
@@ -53,7 +55,7 @@ def _has_colors(asset: Asset, primitive: Mapping[str, Any]) -> bool:
 
 
 def _corners(
-    asset: Asset, primitive: Mapping[str, Any], matrix: Float64, textures: "_Textures"
+    asset: Asset, primitive: Mapping[str, Any], matrix: Float64, textures: Textures
 ) -> tuple[Float32, Float32]:
     attributes = primitive["attributes"]
 
@@ -69,7 +71,11 @@ def _corners(
         stored = np.clip(values("COLOR_0", 3, 4)[:, :3], 0, 1).astype(np.float64)
         light = to_linear(stored) if _is_as_shown(asset) else stored
     if (texture := _texture(asset, primitive)) is not None:
-        light = light * to_linear(textures.sample(texture, values("TEXCOORD_0", 2)))
+        image = partial(_content, asset, texture)
+        try:
+            light = light * to_linear(textures.sample(texture, values("TEXCOORD_0", 2), image))
+        except FormatError as error:
+            raise error if error.element else asset.fault(error.message, "images") from None
     factor = _base(asset, primitive).get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])
     sound = isinstance(factor, list) and len(factor) == 4
     if not sound or not all(type(each) in (int, float) and 0 <= each <= 1 for each in factor):
@@ -97,7 +103,7 @@ def _base(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _texture(asset: Asset, primitive: Mapping[str, Any]) -> int | None:
-    """The buffer view with the picture of the base color, where its coordinates are there and plain."""
+    """The image of the base color, where it can be had, and its coordinates are there and plain."""
     info = _base(asset, primitive).get("baseColorTexture")
     if not isinstance(info, dict) or info.get("texCoord", 0) != 0 or "extensions" in info:
         return None
@@ -105,25 +111,14 @@ def _texture(asset: Asset, primitive: Mapping[str, Any]) -> int | None:
     extensions = texture.get("extensions", {})
     webp = extensions.get("EXT_texture_webp", {}) if isinstance(extensions, dict) else {}
     index = texture.get("source", webp.get("source") if isinstance(webp, dict) else None)
-    view = None if index is None else asset.row("images", index).get("bufferView")
-    return view if type(view) is int and "TEXCOORD_0" in primitive["attributes"] else None
+    if type(index) is not int or "TEXCOORD_0" not in primitive["attributes"]:
+        return None
+    image = asset.row("images", index)
+    uri = str(image.get("uri", ""))
+    return index if type(image.get("bufferView")) is int or uri.startswith("data:") or (uri and asset.folder) else None
 
 
-class _Textures:
-    """The pictures of an asset, each decoded once, and no more of them than of one suspect's."""
-
-    def __init__(self, asset: Asset) -> None:
-        self._asset, self._left = asset, MAX_PIXELS_TOGETHER
-        self._decoded: dict[int, Float32] = {}
-
-    def sample(self, view: int, at: npt.NDArray[np.float32]) -> Float64:
-        """(N, 3) sRGB values at texture coordinates, of the nearest pixel; the picture repeats beyond its borders."""
-        if view not in self._decoded:
-            try:
-                self._decoded[view] = read_picture(self._asset.blob(view), "texture", managed=False)
-            except FormatError as error:
-                raise self._asset.fault(error.message, "images") from None
-            self._left -= self._decoded[view].size // 3
-            if self._left < 0:
-                raise self._asset.fault(f"its textures have more than {MAX_PIXELS_TOGETHER:,} pixels", "images")
-        return nearest_pixels(self._decoded[view], at)
+def _content(asset: Asset, index: int) -> bytes:
+    image = asset.row("images", index)
+    view = image.get("bufferView")
+    return asset.resource(image.get("uri"), f"image {index}", "images") if view is None else asset.blob(view)

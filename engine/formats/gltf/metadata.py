@@ -14,8 +14,6 @@ from typing import Any
 from engine.errors import InputError
 from engine.formats.gltf.container import pack_glb, unpack
 
-__all__ = ["EXTENSION", "MOST_CHARACTERS", "Metadata", "annotate_glb", "read_metadata"]
-
 EXTENSION = "KHR_xmp_json_ld"
 MOST_CHARACTERS = 1000
 """Of a text that is written, or shown."""

@@ -14,8 +14,6 @@ from engine.formats.gltf.container import Asset
 from engine.model import Float64
 from engine.numerics.similarity import quaternion_to_rotation
 
-__all__ = ["MAX_NODES", "as_similarity", "primitives_of", "shown_meshes"]
-
 MAX_NODES = 1 << 14
 _UNEVEN = 1e-4
 """Relative difference of the axes' scales, or of a rotation's columns from right angles, that float32 may leave."""

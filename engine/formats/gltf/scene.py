@@ -27,8 +27,6 @@ from engine.model import Float32, Float64, GaussianModel, joined
 from engine.numerics.plain import Json
 from engine.numerics.similarity import transform_model
 
-__all__ = ["EXTENSION", "looks_like_gltf", "read_gltf", "write_glb"]
-
 EXTENSION = "KHR_gaussian_splatting"
 COLOR_SPACE = "srgb_rec709_display"
 TO_PLY = FrameChange(np.array([-1.0, -1.0, 1.0]))

@@ -20,8 +20,6 @@ from engine.formats.guards import check_count
 from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
 from engine.model import SH_C0, Float32, GaussianModel
 
-__all__ = ["KINDS", "looks_like_ksplat", "read_ksplat"]
-
 HEADER, SECTION_HEADER = 4096, 1024
 REST_COEFFICIENTS = (0, 3, 8)
 """Coefficients a channel above DC, by degree; nothing writes a third one."""

@@ -2,20 +2,14 @@
 
 import numpy as np
 
-from engine.formats.declaration import Kind, rest_range, size_range
+from engine.formats.declaration import Kind, Range
 from engine.formats.ply.compressed import is_compressed, read_compressed_ply, rounded_positions, write_compressed_ply
 from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.formats.ply.header import parse_header
-from engine.model import Float64
 
 
 def _is_ply(data: bytes, file: str, compressed: bool) -> bool:
     return data.startswith((b"ply\n", b"ply\r")) and is_compressed(parse_header(data, file=file)) is compressed
-
-
-def _chunk_step(means: Float64) -> float:
-    """Of the chunk that holds the stray."""
-    return float(np.ptp(means, axis=0).max()) / 2047
 
 
 KINDS = (
@@ -32,8 +26,8 @@ KINDS = (
         lambda data, file, _: read_compressed_ply(data, file=file),
         lambda model: [write_compressed_ply(model)],
         holds=("harmonics", "discs", "antialiasing", "comments"),
-        ranges=(size_range(-20.0, 20.0, 0.0), rest_range(-4.0, 4.0, 1 / 16)),
+        ranges=(Range("sizes", -20.0, 20.0, 0.0), Range("harmonics", -4.0, 4.0, 1 / 16)),
         rounded=rounded_positions,
-        step=_chunk_step,
+        step=lambda means: float(np.ptp(means, axis=0).max()) / 2047,  # of the chunk that holds the stray
     ),
 )

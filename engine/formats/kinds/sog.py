@@ -1,23 +1,11 @@
 """SOG of PlayCanvas, see `engine.formats.sog`."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
-from engine.formats.declaration import Kind, Read
-from engine.model import Float32, Float64, GaussianModel
+from engine.formats.declaration import Kind, later
+from engine.model import Float32, Float64
 
-
-def _read(data: bytes, file: str, spz_frame: str) -> Read:
-    from engine.formats.sog.bundle import read_sog
-
-    return read_sog(data, file=file)
-
-
-def _write(model: GaussianModel) -> Iterable[bytes]:
-    from engine.formats.sog.bundle import write_sog
-
-    return [write_sog(model)]
+_BUNDLE, _ENCODING = later("engine.formats.sog.bundle"), later("engine.formats.sog.encoding")
 
 
 def _step(means: Float64) -> float:
@@ -28,9 +16,7 @@ def _step(means: Float64) -> float:
 
 
 def _rounded(means: Float32) -> Float64:
-    from engine.formats.sog.encoding import position_codes
-
-    codes, mins, maxs = position_codes(means)
+    codes, mins, maxs = _ENCODING().position_codes(means)
     bent = mins + codes / 65535.0 * (maxs - mins)
     return np.asarray(np.sign(bent) * np.expm1(np.abs(bent)))
 
@@ -39,8 +25,8 @@ KINDS = (
     Kind(
         "sog",
         lambda data, file: data.startswith(b"PK") and b"meta.json" in data,
-        _read,
-        _write,
+        lambda data, file, _: _BUNDLE().read_sog(data, file=file),
+        lambda model: [_BUNDLE().write_sog(model)],
         holds=("harmonics", "discs", "antialiasing"),
         rounded=_rounded,
         step=_step,

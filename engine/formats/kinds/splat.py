@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
-from engine.formats.declaration import Kind, dc_range
+from engine.formats.declaration import Kind, Range
 from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
 from engine.model import SH_C0, GaussianModel
 
@@ -71,6 +71,6 @@ SPLAT = Kind(
     lambda data, file, _: read_splat(data, file=file),
     lambda model: [write_splat(model)],
     guessed=True,
-    ranges=(dc_range(-0.5 / SH_C0, 0.5 / SH_C0, 1 / 255 / SH_C0),),
+    ranges=(Range("colors", -0.5 / SH_C0, 0.5 / SH_C0, 1 / 255 / SH_C0),),
 )
 KINDS = (SPLAT,)

@@ -1,28 +1,12 @@
 """SPZ of Niantic, see `engine.formats.spz`."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
-from engine.formats.declaration import Kind, Read, dc_range, rest_range, size_range
+from engine.formats.declaration import Kind, Range, later
 from engine.formats.spz.attributes import choose_fractional_bits
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import Float32, Float64
 
-
-def _read(data: bytes, file: str, spz_frame: str) -> Read:
-    from engine.formats.spz.stream import read_spz
-
-    return read_spz(data, file=file, frame=spz_frame)
-
-
-def _write(model: GaussianModel) -> Iterable[bytes]:
-    from engine.formats.spz.stream import write_spz
-
-    return [write_spz(model)]
-
-
-def _step(means: Float64) -> float:
-    return 2.0 ** -choose_fractional_bits(means.astype(np.float32))
+_STREAM = later("engine.formats.spz.stream")
 
 
 def _rounded(means: Float32) -> Float64:
@@ -34,15 +18,15 @@ KINDS = (
     Kind(
         "spz",
         lambda data, file: data.startswith((b"\x1f\x8b", b"NGSP")),
-        _read,
-        _write,
+        lambda data, file, frame: _STREAM().read_spz(data, file=file, frame=frame),
+        lambda model: [_STREAM().write_spz(model)],
         holds=("harmonics", "antialiasing"),
         ranges=(
-            dc_range(-0.5 / 0.15, 0.5 / 0.15, 1 / 255 / 0.15),
-            size_range(-10.0, 255 / 16 - 10, 1 / 16),
-            rest_range(-1.0, 1.0, 1 / 64),
+            Range("colors", -0.5 / 0.15, 0.5 / 0.15, 1 / 255 / 0.15),
+            Range("sizes", -10.0, 255 / 16 - 10, 1 / 16),
+            Range("harmonics", -1.0, 1.0, 1 / 64),
         ),
         rounded=_rounded,
-        step=_step,
+        step=lambda means: float(2.0 ** -choose_fractional_bits(means.astype(np.float32))),
     ),
 )

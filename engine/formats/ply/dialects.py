@@ -13,8 +13,6 @@ from engine.formats.ply.header import TYPE_NAMES, Element, Header
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
-__all__ = ["COLORS", "DC", "activation_hints", "dc_of_colors", "georeferenced", "plain_names", "plain_types"]
-
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them

@@ -17,19 +17,6 @@ from engine.formats.ply.header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Hea
 from engine.formats.repairs import Repair
 from engine.model import Carried, Float32
 
-__all__ = [
-    "FILTER",
-    "carried_by",
-    "carrying",
-    "fuse_filter",
-    "ignored",
-    "is_motion",
-    "lines_of",
-    "named",
-    "refuse_codebooks",
-    "refuse_motion",
-]
-
 FILTER = "filter_3D"
 """Deviation of Mip-Splatting's 3D smoothing filter, scene units."""
 

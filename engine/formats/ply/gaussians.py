@@ -63,8 +63,13 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     _spread(records, arrays, frozenset(used), rest // 3)
     if colored:
         arrays["sh"][:, 0] = dc_of_colors(arrays["sh"][:, 0], records.dtype[DC[0]])
-    if "scale_2" not in vertex.names:
-        log_scales = arrays["log_scales"]
+    log_scales = arrays["log_scales"]
+    if "scale_1" not in vertex.names:
+        log_scales[:, 1:] = log_scales[:, :1]
+        if "rot_0" not in vertex.names:
+            arrays["quats"][:] = [1, 0, 0, 0]
+        repairs.append(Repair("isotropic", len(records), "balls of one scale: it was taken for all three axes"))
+    elif "scale_2" not in vertex.names:
         log_scales[:, 2] = np.maximum(log_scales[:, :2].min(axis=1) + np.log(DISC_THICKNESS), LOG_SCALE_RANGE[0])
         text = f"2DGS discs: their third scale was set to {DISC_THICKNESS:g} of the smaller one"
         repairs.append(Repair("flat_discs", len(records), text))
@@ -155,20 +160,24 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names
         what = "a colored point cloud" if colored else "a point cloud or a mesh"
-        message = f"is {what}, not a Gaussian model: it has no colors f_dc_0, scales, rotations and opacity"
+        message = f"is {what}, not a Gaussian model: it has no colors f_dc_0, scales, rotations and opacity; trainers"
+        message += " write theirs to point_cloud/iteration_N/point_cloud.ply, or splat.ply"
         raise UnsupportedFormatError(message, file=file, element="vertex")
     needed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
-    for name in [*needed, "rot_0", "rot_1", "rot_2", "rot_3"]:
+    rotations = {f"rot_{i}" for i in range(4)}
+    is_ball = "scale_0" in vertex.names and not vertex.names & {"scale_1", "scale_2"}
+    for name in (
+        needed[:-1] if is_ball and not vertex.names & rotations else [*needed[: 9 - is_ball], *sorted(rotations)]
+    ):
         if name not in vertex.names:
-            known = {*needed, "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", *_NORMALS}
+            known = {*needed, "scale_2", *rotations, *_NORMALS}
             others = [p.name for p in vertex.properties if p.name not in known and not p.name.startswith("f_rest_")]
             there = f"; not known here: {named(others)}: give each the name that INRIA's files have" if others else ""
             raise FormatError(f"is missing{there}", file=file, element="vertex", prop=name)
 
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
-    known = {*needed, FILTER, "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
-    known |= {f"f_rest_{i}" for i in range(rest)}
+    known = {*needed, FILTER, "scale_2", *rotations, *(f"f_rest_{i}" for i in range(rest))}
     used = [p.name for p in vertex.properties if p.name in known]
     extra = [p.name for p in vertex.properties if p.name not in known and p.name not in _NORMALS]
     if rest not in (0, 9, 24, 45):

@@ -8,8 +8,6 @@ import numpy as np
 
 from engine.formats.ply.header import Element, Header, Property
 
-__all__ = ["plain_lists"]
-
 _LONGEST, _LONGEST_NAME = 64, 70
 
 

@@ -18,10 +18,8 @@ from engine.formats.sog.archive import MAX_META_BYTES, META, Archive, Folder, Wi
 from engine.formats.sog.decoding import decode_scene
 from engine.formats.sog.encoding import encode_scene
 from engine.formats.sog.levels import LOD_META, MAX_LOD_META_BYTES, LodMeta, parse_lod_meta
-from engine.formats.sog.meta import SogMeta, parse_meta
+from engine.formats.sog.meta import parse_meta
 from engine.model import GaussianModel, joined
-
-__all__ = ["read_sog", "read_sog_folder", "read_streamed", "read_streamed_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
@@ -33,9 +31,7 @@ def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
     """
     archive = ZipArchive(data, file=file)
     if archive.has(LOD_META):
-        from engine.formats.sog.bundle import read_streamed
-
-        return read_streamed(archive, file=file)
+        return _read(Within(archive, archive.folder_of(LOD_META)), file)
     if not archive.has(META):  # its name is in a scene that the archive holds
         raise UnsupportedFormatError(ZIP_WITHOUT_SCENE, file=file)
     scene = Within(archive, archive.folder_of(META))
@@ -68,18 +64,8 @@ def write_sog(model: GaussianModel) -> bytes:
     return write_zip(encode_scene(model))
 
 
-def read_streamed(archive: ZipArchive, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a zip archive of such a scene, whose index may lie in a folder of its own.
-
-    Coarser levels are left out, and reported; they only repeat the scene. UnsupportedFormatError for another version;
-    FormatError if index, chunks and counts do not agree. Only what the index and a chunk's meta.json name is unpacked.
-    """
-    top = archive.folder_of(LOD_META)
-    return _read(Within(archive, top), file)
-
-
 def read_streamed_folder(folder: Path) -> tuple[GaussianModel, tuple[Repair, ...], tuple[str, ...]]:
-    """The same of a folder; and the paths of all files that were read, relative to it, sorted."""
+    """A streamed scene in a folder; and the paths of all files that were read, relative to it, sorted."""
     archive, file = Folder(folder), str(folder)
     index = parse_lod_meta(archive.read(LOD_META, MAX_LOD_META_BYTES), file=file)
     names = {LOD_META}
@@ -92,8 +78,11 @@ def read_streamed_folder(folder: Path) -> tuple[GaussianModel, tuple[Repair, ...
 
 
 def _read(archive: Archive, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """A streamed scene. Coarser levels are left out, and reported; they only repeat the scene."""
     index = parse_lod_meta(archive.read(LOD_META, MAX_LOD_META_BYTES), file=file)
-    metas = {name: _meta(archive, name, file) for name in sorted(_wanted(index))}
+    metas = {
+        name: parse_meta(archive.read(name, MAX_META_BYTES), file=f"{file}, {name}") for name in sorted(_wanted(index))
+    }
     check_count(sum(meta.count for meta in metas.values()), archive.size, file=file)
     parts: list[GaussianModel] = []
     repairs: list[Repair] = []
@@ -123,7 +112,3 @@ def _wanted(index: LodMeta) -> dict[str, list[tuple[int, int]]]:
     if index.environment is not None:
         wanted[index.environment] = []
     return wanted
-
-
-def _meta(archive: Archive, name: str, file: str) -> SogMeta:
-    return parse_meta(archive.read(name, MAX_META_BYTES), file=f"{file}, {name}")

@@ -15,8 +15,6 @@ from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.plain import Json
 from engine.numerics.similarity import quaternion_to_rotation
 
-__all__ = ["LEAF", "write_streamed"]
-
 LEAF = 1 << 19
 """Gaussians of a leaf, all levels together, at most: as splat-transform's default."""
 

@@ -24,6 +24,8 @@ _IMPOSSIBLE, _MOST_IMPOSSIBLE = 0.02, 0.01
 _FEW = 64  # Gaussians of which all may be turned half about one axis, or nearly
 
 _SAMPLE, _PALETTE = 1 << 16, 256
+_FEW_ODD = 0.25
+"""Share of the different centers along an axis: half of them in real scenes, 1 in 50 once packed near-losslessly."""
 
 _CHUNK = 1 << 14
 
@@ -92,17 +94,21 @@ class _Scene:
             raise self._fault("its transparency, which says what component each rotation leaves out, is gone", name)
 
     def means(self) -> Float32:
-        low, high = self._rows("means", 0), self._rows("means", 1)
+        low, high, names = self._rows("means", 0), self._rows("means", 1), self._meta.files["means"]
         some = np.ascontiguousarray(low[:_SAMPLE, :3])
         if len(some) > 4 * _PALETTE >= 4 * len(np.unique(some.view("V3"))):
-            raise self._fault("holds no more values than a palette", self._meta.files["means"][0])
-        result = np.empty((self._meta.count, 3), dtype=np.float32)
+            raise self._fault("holds no more values than a palette", names[0])
+        result, even = np.empty((self._meta.count, 3), dtype=np.float32), 0
         for axis in range(3):
             code = low[:, axis] | (high[:, axis].astype(np.uint16) << 8)
+            values = np.unique(code[:_SAMPLE])
+            even += bool(len(values) > _PALETTE and np.mean(values & 1) < _FEW_ODD)
             ramp = np.linspace(self._meta.mins[axis], self._meta.maxs[axis], 1 << 16)
             with np.errstate(over="ignore"):  # an absurd range becomes infinite, and its rows are dropped
                 table = (np.sign(ramp) * np.expm1(np.abs(ramp))).astype(np.float32)
             result[:, axis] = table[code]
+        if even == 3:
+            raise self._fault("its numbers are nearly all even, as near-lossless WebP leaves them", names[0])
         return result
 
     def log_scales(self) -> Float32:

@@ -33,7 +33,14 @@ def lossless_size(data: bytes, *, file: str, element: str) -> tuple[int, int]:
     its pixels are. FormatError if it is no such image, or one without a picture.
     """
     if data.startswith(_PNG):
-        return _png_size(data, file=file, element=element)
+        if len(data) < len(_PNG) + _IHDR.size:
+            raise FormatError("PNG image is cut off", file=file, element=element)
+        width, height, depth = _IHDR.unpack_from(data, len(_PNG))
+        if depth != 8:
+            raise UnsupportedFormatError(f"is a PNG image of {depth} bits a channel, not 8", file=file, element=element)
+        if b"acTL" in data[: data.find(b"IDAT") + 1]:
+            raise UnsupportedFormatError("is an animated PNG image", file=file, element=element)
+        return width, height
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         raise FormatError(f"is no WebP or PNG image; {REENCODED}", file=file, element=element)
     position = 12
@@ -50,17 +57,6 @@ def lossless_size(data: bytes, *, file: str, element: str) -> tuple[int, int]:
             return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
         position += length + (length & 1)
     raise FormatError("WebP image holds no lossless picture", file=file, element=element)
-
-
-def _png_size(data: bytes, *, file: str, element: str) -> tuple[int, int]:
-    if len(data) < len(_PNG) + _IHDR.size:
-        raise FormatError("PNG image is cut off", file=file, element=element)
-    width, height, depth = _IHDR.unpack_from(data, len(_PNG))
-    if depth != 8:
-        raise UnsupportedFormatError(f"is a PNG image of {depth} bits a channel, not 8", file=file, element=element)
-    if b"acTL" in data[: data.find(b"IDAT") + 1]:
-        raise UnsupportedFormatError("is an animated PNG image", file=file, element=element)
-    return width, height
 
 
 def decode_lossless(data: bytes, size: tuple[int, int], *, file: str, element: str) -> Pixels:

@@ -4,14 +4,12 @@ Format: "The Streamed SOG Format", version 1, of PlayCanvas's user manual; playc
 it (``read-lod.ts``, ``write-lod.ts``). Level 0 is the finest.
 """
 
-import json
 import re
 from dataclasses import dataclass
 from typing import Any
 
 from engine.errors import FormatError, UnsupportedFormatError
-
-__all__ = ["LOD_META", "MAX_LOD_META_BYTES", "LodMeta", "Rows", "parse_lod_meta"]
+from engine.formats.guards import json_object
 
 LOD_META = "lod-meta.json"
 MAX_LOD_META_BYTES = 1 << 24
@@ -56,12 +54,7 @@ def parse_lod_meta(text: bytes, *, file: str) -> LodMeta:
     def fault(message: str, prop: str) -> FormatError:
         return FormatError(message, file=file, element=LOD_META, prop=prop)
 
-    try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError) as problem:
-        raise fault(f"is no JSON ({ascii(str(problem))[:120]})", "") from None
-    if not isinstance(meta, dict):
-        raise fault("is no JSON object", "")
+    meta = json_object(text, file=file, element=LOD_META)
     if (version := meta.get("version", 1)) != 1:
         message = f"streamed SOG version {version!r:.40}, read is 1"
         raise UnsupportedFormatError(message, file=file, element=LOD_META, prop="version")

@@ -1,6 +1,5 @@
 """meta.json of a SOG scene: checked, and brought to lookup tables that are the same for both versions."""
 
-import json
 import math
 import re
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.guards import json_object
 from engine.formats.modes import ANTIALIASED
 from engine.formats.repairs import ALPHA_LOGITS, Repair
 from engine.model import Float64
@@ -31,7 +31,7 @@ class Palette:
     """Spherical harmonics above DC: `table` (256,) is the coefficient of each pixel value.
 
     `bands` (1 to 3) and the `count` of code vectors are None where the size of the image of centroids must tell
-    (version 1).
+    (version 1, and some writers).
     """
 
     bands: int | None
@@ -67,28 +67,24 @@ def parse_meta(text: bytes, *, file: str) -> SogMeta:
     UnsupportedFormatError for another version than 1 (which names none) and 2; FormatError if it is no JSON, or a
     member is missing, of the wrong kind, or no finite number.
     """
-    try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError) as fault:
-        raise FormatError(f"is no JSON ({fault})", file=file, element="meta.json") from None
-    return _Reader(meta, file).parse()
+    return _Reader(json_object(text, file=file, element="meta.json"), file).parse()
 
 
 class _Reader:
     """Takes members out of the parsed JSON; every complaint names the file and the member."""
 
-    def __init__(self, meta: Any, file: str) -> None:
-        self._file = file
+    def __init__(self, meta: Json, file: str) -> None:
+        self._file, self._meta = file, meta
         self._repairs: list[Repair] = []
-        if not isinstance(meta, dict):
-            raise self._fault("is no JSON object", None)
-        self._meta = meta
 
     def parse(self) -> SogMeta:
         version = self._meta.get("version", 1)
         if isinstance(version, bool) or version not in (1, 2):
             message = f"SOG version {version!r:.40}, read are 1 and 2"
             raise UnsupportedFormatError(message, file=self._file, element="meta.json", prop="version")
+        if "opacities" in self._meta:
+            message = "is gsplat's own compression, no SOG: export the model as .ply (gsplat.export_splats)"
+            raise UnsupportedFormatError(message, file=self._file, element="meta.json")
         codebooks = version == 2
         count = self._integer(self._meta.get("count"), "count") if codebooks else self._shape_count()
         files = {key: self._names(key, n) for key, n in _FILES.items() if key != "shN" or "shN" in self._meta}
@@ -115,7 +111,7 @@ class _Reader:
             repairs=tuple(self._repairs),
         )
 
-    def _fault(self, message: str, prop: str | None) -> FormatError:
+    def _fault(self, message: str, prop: str) -> FormatError:
         return FormatError(message, file=self._file, element="meta.json", prop=prop)
 
     def _member(self, key: str) -> Json:
@@ -179,10 +175,11 @@ class _Reader:
     def _palette(self, codebooks: bool) -> Palette:
         if codebooks:
             member = self._member("shN")
-            bands = self._integer(member.get("bands"), "shN.bands")
-            if bands not in REST_COEFFICIENTS:
+            bands = self._integer(member.get("bands"), "shN.bands") or None  # gsbox wrote 0
+            if bands and bands not in REST_COEFFICIENTS:
                 raise self._fault(f"{bands} bands, expected 1 to 3", "shN.bands")
-            count = self._integer(member.get("count"), "shN.count")
+            said = member["count"] if "count" in member else member.get("palette_size")  # LichtFeld's name for it
+            count = self._integer(said, "shN.count")
             if not 1 <= count <= MAX_PALETTE:
                 raise self._fault(f"{count} code vectors, expected 1 to {MAX_PALETTE}", "shN.count")
             return Palette(bands, count, self._codebook("shN"))

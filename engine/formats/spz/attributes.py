@@ -9,8 +9,6 @@ import numpy.typing as npt
 from engine.formats.repairs import ALPHA_LOGITS
 from engine.model import Float32
 
-Bytes = npt.NDArray[np.uint8]
-
 COLOR_SCALE = 0.15
 """A DC coefficient c is stored as 255 (COLOR_SCALE c + 0.5): wider than a colour, [-3.33, 3.33] fits."""
 
@@ -32,11 +30,6 @@ def decode_positions(section: memoryview, fractional_bits: int) -> Float32:
     padded[:, 1:] = raw  # the sign bit comes to lie at the top, the shift below brings it down
     fixed = padded.view("<i4")[:, 0] >> 8
     return (fixed * np.float32(2.0**-fractional_bits)).astype(np.float32).reshape(-1, 3)  # (N, 3)
-
-
-def decode_half_positions(section: memoryview) -> Float32:
-    """(N, 3) centres of version 1: half floats."""
-    return np.frombuffer(section, dtype="<f2").astype(np.float32).reshape(-1, 3)
 
 
 def encode_positions(means: Float32, fractional_bits: int) -> bytes:
@@ -65,31 +58,16 @@ def decode_alphas(section: memoryview) -> Float32:
     return ALPHA_LOGITS.astype(np.float32)[np.frombuffer(section, dtype=np.uint8)]
 
 
-def encode_alphas(opacities: Float32) -> bytes:
-    """Opacities (N,) as multiples of 1/255."""
-    return _to_bytes(opacities * np.float32(255.0)).tobytes()
-
-
 def decode_colors(section: memoryview) -> Float32:
     """(N, 3) DC coefficients."""
     table = ((np.arange(256) / 255.0 - 0.5) / COLOR_SCALE).astype(np.float32)
     return table[np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)]
 
 
-def encode_colors(dc: Float32) -> bytes:
-    """Inverse of `decode_colors`, clipped to its range."""
-    return _to_bytes(dc * np.float32(COLOR_SCALE * 255.0) + np.float32(127.5)).tobytes()
-
-
 def decode_scales(section: memoryview) -> Float32:
     """(N, 3) log scales in [-10, 5.94], steps of 1/16."""
     table = (np.arange(256) / 16.0 - 10.0).astype(np.float32)
     return table[np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)]
-
-
-def encode_scales(log_scales: Float32) -> bytes:
-    """Inverse of `decode_scales`, clipped to its range."""
-    return _to_bytes((log_scales + np.float32(10.0)) * np.float32(16.0)).tobytes()
 
 
 def decode_first_three(section: memoryview) -> Float32:
@@ -169,17 +147,18 @@ def encode_sh(sh: Float32, signs: Float32, bits: tuple[int, int]) -> bytes:
 def encode_all(
     arrays: Sequence[npt.NDArray[Any]], fractional_bits: int, signs: Float32, bits: tuple[int, int]
 ) -> tuple[bytes, ...]:
-    """The six sections of means, log scales, quaternions, opacities and sh, in the order of the file."""
+    """The six sections of means, log scales, quaternions, opacities and sh, in the order of the file: the inverse of
+    the decoders, clipped to their ranges."""
     means, log_scales, quats, opacities, sh = arrays
     return (
         encode_positions(means, fractional_bits),
-        encode_alphas(opacities),
-        encode_colors(sh[:, 0] * signs[0]),
-        encode_scales(log_scales),
+        _to_bytes(opacities * np.float32(255.0)).tobytes(),
+        _to_bytes(sh[:, 0] * signs[0] * np.float32(COLOR_SCALE * 255.0) + np.float32(127.5)).tobytes(),
+        _to_bytes((log_scales + np.float32(10.0)) * np.float32(16.0)).tobytes(),
         encode_smallest_three(quats),
         encode_sh(sh, signs, bits),
     )
 
 
-def _to_bytes(values: npt.NDArray[Any]) -> Bytes:
+def _to_bytes(values: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))

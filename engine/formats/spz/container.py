@@ -87,7 +87,9 @@ def unpack(data: bytes, *, file: str) -> Payload:
         return _unpack_gzip(data, file=file)
     if len(data) >= 4 and int.from_bytes(data[:4], "little") == MAGIC:
         plain = len(data) >= 8 and int.from_bytes(data[4:8], "little") in STREAM_VERSIONS
-        return _unpack_plain(data, file=file) if plain else _unpack_zstd(data, file=file)
+        if not plain:
+            return _unpack_zstd(data, file=file)
+        return _split(_stream_header(data[: _HEADER.size], len(data), file=file), data[_HEADER.size :], file=file)
     raise FormatError("is no SPZ file: neither gzip nor NGSP at its start", file=file)
 
 
@@ -142,11 +144,6 @@ def _unpack_gzip(data: bytes, *, file: str) -> Payload:
     if inflater.unused_data:
         raise FormatError(f"{len(inflater.unused_data)} bytes follow the gzip stream", file=file)
     return payload
-
-
-def _unpack_plain(data: bytes, *, file: str) -> Payload:
-    header = _stream_header(data[: _HEADER.size], len(data), file=file)
-    return _split(header, data[_HEADER.size :], file=file)
 
 
 def _split(header: Header, body: bytes, *, file: str) -> Payload:

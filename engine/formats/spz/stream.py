@@ -16,7 +16,6 @@ from engine.formats.spz.attributes import (
     decode_alphas,
     decode_colors,
     decode_first_three,
-    decode_half_positions,
     decode_positions,
     decode_scales,
     decode_sh,
@@ -24,18 +23,9 @@ from engine.formats.spz.attributes import (
     encode_all,
 )
 from engine.formats.spz.container import ANTIALIASED, Header, pack, unpack
-from engine.formats.spz.frames import (
-    RUB,
-    SPECIFICATION,
-    Frame,
-    coordinate_system_record,
-    frame_change,
-    other_extensions,
-)
+from engine.formats.spz.frames import RUB, SPECIFICATION, coordinate_system_record, frame_change, other_extensions
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
-
-__all__ = ["Frame", "read_spz", "write_spz"]
 
 
 def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianModel, tuple[Repair, ...]]:
@@ -53,8 +43,10 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     header = payload.header
     change = frame_change(frame, payload.extensions, file=file)
     positions, alphas, colors, scales, rotations, rest = payload.sections
-    half = header.version == 1
-    means = decode_half_positions(positions) if half else decode_positions(positions, header.fractional_bits)
+    if header.version == 1:
+        means = np.frombuffer(positions, dtype="<f2").astype(np.float32).reshape(-1, 3)
+    else:
+        means = decode_positions(positions, header.fractional_bits)
     quats = decode_first_three(rotations) if header.version < 3 else decode_smallest_three(rotations)
     sh = np.empty((header.count, (min(header.sh_degree, 3) + 1) ** 2, 3), dtype=np.float32)
     sh[:, 0] = decode_colors(colors)

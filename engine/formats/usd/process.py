@@ -18,8 +18,6 @@ import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
 
-__all__ = ["DEGREE", "FIELDS", "SCHEMA", "SECONDS", "SH"]
-
 SECONDS = 300
 """Of CPU time; a million Gaussians take two."""
 MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 8

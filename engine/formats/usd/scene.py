@@ -29,18 +29,13 @@ from engine.formats.usd.process import DEGREE, FIELDS, OTHERS, SECONDS, SH
 from engine.model import GaussianModel, joined
 from engine.numerics.similarity import transform_model
 
-__all__ = ["KINDS", "kind_of_usd", "load_usd", "read_usd", "write_usd"]
-
-KINDS = ("usda", "usdc", "usdz")
-"""As text, in binary, and in an archive; ".usd" is either of the first two."""
-
 _PARTS = ("name", DEGREE, "matrix", *FIELDS)
 _COMMAND = (sys.executable, "-P", "-m", "engine.formats.usd.process")
 """-P: the folder that one stands in may be anybody's, too; no module is taken from there."""
 
 
 def kind_of_usd(data: bytes) -> str | None:
-    """Which of `KINDS` the first bytes are those of, if any."""
+    """Whether the first bytes are those of a scene as text ("usda"), in binary ("usdc") or in an archive ("usdz")."""
     if data.startswith((b"PXR-USDC", b"#usda")):
         return "usdc" if data.startswith(b"PXR") else "usda"
     length = int.from_bytes(data[26:28], "little")  # of the name of an archive's first file, which is the scene
@@ -79,8 +74,8 @@ def read_usd(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
 
 
 def write_usd(model: GaussianModel, kind: str) -> bytes:
-    """The scene as one of `KINDS`, one prim, float32: only sizes and opacities are rounded, by the exponential and the
-    logistic function. InputError where the extra `usd` is not installed."""
+    """The scene as "usda", "usdc" or "usdz", one prim, float32: only sizes and opacities are rounded, by the
+    exponential and the logistic function. InputError where the extra `usd` is not installed."""
     pxr = load_usd(f"writing .{kind}")
     stage = pxr.Usd.Stage.CreateInMemory(f"scene.{'usdc' if kind == 'usdz' else kind}")
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)

@@ -1,0 +1,131 @@
+"""Files as users of other programs report them: what each holds, or what to give in its place."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats import encode_model, read_cameras, read_model
+from engine.formats.cameras.fisheye import FisheyeCamera
+from engine.formats.points import read_points
+from engine.formats.sog.bundle import read_sog, write_sog
+from tests.formats.gltf_files import asset_of, glb_of, splats
+from tests.formats.models import random_model
+from tests.formats.sog_scenes import bundle, unbundle
+
+
+def gsbox(said: dict[str, Any]) -> None:
+    said["bands"] = 0
+
+
+def lichtfeld(said: dict[str, Any]) -> None:
+    said["palette_size"] = said.pop("count")
+
+
+@pytest.mark.parametrize("change", [gsbox, lichtfeld])
+def test_a_sog_that_says_little_of_its_harmonics(change: Callable[[dict[str, Any]], None]) -> None:
+    whole = write_sog(random_model(2, 700))
+    parts = unbundle(whole)
+    meta = json.loads(parts["meta.json"])
+    change(meta["shN"])
+    changed = read_sog(bundle(parts | {"meta.json": json.dumps(meta).encode()}), file="x")[0]
+    np.testing.assert_array_equal(changed.sh, read_sog(whole, file="x")[0].sh)
+
+
+def plain_ply(names: list[str], rows: np.ndarray) -> bytes:
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    head += [*(f"property float {name}" for name in names), "end_header", ""]
+    return "\n".join(head).encode() + rows.astype("<f4").tobytes()
+
+
+BALLS = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0"]
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_balls_of_one_scale(turned: bool) -> None:
+    names = [*BALLS, *(f"rot_{i}" for i in range(4) if turned)]
+    rows = np.random.default_rng(0).normal(0, 0.4, (300, len(names)))
+    loaded = read_model(plain_ply(names, rows))
+    np.testing.assert_allclose(loaded.model.log_scales, np.repeat(rows[:, 7:8], 3, axis=1), rtol=1e-6)
+    if turned:
+        quats = rows[:, 8:] / np.linalg.norm(rows[:, 8:], axis=1, keepdims=True)
+        np.testing.assert_allclose(loaded.model.quats, quats, atol=1e-6)
+    assert loaded.repairs[0].code == "isotropic"
+    assert not loaded.model.is_flat
+    back = read_model(encode_model(loaded.model, "ply"))
+    np.testing.assert_array_equal(back.model.log_scales, loaded.model.log_scales)
+    with pytest.raises(FormatError, match="rot_3"):
+        read_model(plain_ply([*BALLS, "rot_0", "rot_1", "rot_2"], rows[:, [*range(8), 0, 1, 2]]))
+
+
+def test_the_folder_of_a_training_names_its_model(tmp_path: Path) -> None:
+    for number in ("7000", "30000"):
+        folder = tmp_path / "point_cloud" / f"iteration_{number}"
+        folder.mkdir(parents=True)
+        (folder / "point_cloud.ply").write_bytes(b"ply")
+    with pytest.raises(UnsupportedFormatError, match=r"such as 'point_cloud/iteration_30000/point_cloud\.ply'"):
+        read_model(tmp_path)
+    (tmp_path / "export").mkdir()
+    with pytest.raises(UnsupportedFormatError, match=r"no unpacked SOG scene$"):
+        read_model(tmp_path / "export")
+    (tmp_path / "export" / "splat.ply").write_bytes(b"ply")
+    with pytest.raises(UnsupportedFormatError, match=r"such as 'splat\.ply'"):
+        read_model(tmp_path / "export")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.splatv", b"KG\0\0\x64\0\0\0[{}]" + bytes(range(1, 200)), "moves"),
+        ("a.spx", b"spx\1" + bytes(range(1, 200)), "gsbox spx2ply"),
+        ("a_pos.bytes", bytes(range(1, 200)), "Unity"),
+        ("meta.json", b'{"means": {"shape": [9, 3]}, "opacities": {}}', "gsplat's own compression"),
+    ],
+)
+def test_what_to_give_in_place_of_others_files(name: str, content: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(UnsupportedFormatError, match=words):
+        read_model(tmp_path / name)
+
+
+@pytest.mark.parametrize("draft", ["KHR_gaussian_splatting", "KHR_spz_gaussian_splats_compression"])
+def test_gaussians_of_a_draft_are_no_points(draft: str) -> None:
+    found = splats(50, 0)
+    old = {"POSITION": found["POSITION"], "COLOR_0": np.ones((50, 4), np.float32)}
+    old |= {f"_{name}": found[f"KHR_gaussian_splatting:{name}"] for name in ("ROTATION", "SCALE")}
+    parsed, binary = asset_of(old)
+    parsed["meshes"][0]["primitives"][0]["extensions"] = {draft: {}}
+    with pytest.raises(UnsupportedFormatError, match=r"draft|kernel"):
+        read_model(glb_of(parsed, binary))
+    assert read_points(glb_of(parsed, binary), file="x") is None
+
+
+def test_cameras_of_instant_ngp(tmp_path: Path) -> None:
+    pose = [[1.0, 0, 0, 3], [0, 1, 0, 4], [0, 0, 1, 5]]
+    frames = [{"file_path": "a.png", "transform_matrix": pose}]
+    said = {"w": 640, "h": 480, "fl_x": 500, "fl_y": 500, "k1": 0.05, "k2": 0.01, "is_fisheye": True, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(said))
+    (camera,) = read_cameras(tmp_path)
+    assert isinstance(camera, FisheyeCamera)
+    assert camera.bends == (0.05, 0.01, 0.0, 0.0)
+    np.testing.assert_allclose(camera.position, [3, 4, 5])
+
+
+@pytest.mark.parametrize("points", ["", "\n", "1.5 2.5 -1 3 4 17\n"])
+def test_every_image_of_a_text_model_is_read(points: str, tmp_path: Path) -> None:
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    images = (f"{k} 1 0 0 0 {k} 0 0 1 image {k}.png\n{points}" for k in range(1, 6))
+    (tmp_path / "images.txt").write_text("# Image list with two lines of data per image:\n" + "".join(images))
+    assert [camera.position[0] for camera in read_cameras(tmp_path)] == [-1, -2, -3, -4, -5]
+
+
+def test_a_point_cloud_of_a_training_names_the_model() -> None:
+    names = ["x", "y", "z", "nx", "ny", "nz"]
+    with pytest.raises(UnsupportedFormatError, match=r"point_cloud/iteration_N/point_cloud\.ply"):
+        read_model(plain_ply(names, np.zeros((9, 6))))
