@@ -45,5 +45,8 @@ def test_masses_take_no_part_in_any_displacement_and_the_others_each_a_part_of_i
     assert len(np.unique(times)) > 100
 
 
-def test_a_scene_of_few_values_is_marked_all_over() -> None:
-    assert not find_masses(np.full((100, 3), 0.25, np.float32), 0.02).any()
+def test_a_scene_that_is_nearly_one_mass_is_marked_all_over() -> None:
+    dc = np.random.default_rng(3).normal(0.0, 1.0, (1000, 3)).astype(np.float32)
+    for share, held in ((0.6, True), (0.8, False)):
+        dc[: int(share * 1000), 0] = 1.75
+        assert find_masses(dc, 0.02).any() == held
