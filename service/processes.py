@@ -318,6 +318,16 @@ def run_once(
             return None
 
 
+def run_within(
+    settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float, tenant: str, what: str
+) -> Reply:
+    """As `run_once`; unavailable, as `what` took too long, where there is no reply in time."""
+    reply = run_once(settings, task, request, folder, seconds, tenant)
+    if reply is None:
+        raise Problem("unavailable", f"{what} took over {seconds:.0f} s", headers={"Retry-After": "60"})
+    return reply
+
+
 def _ended_well(process: _Process) -> bool:
     """Whether a fork that answered is gone as it should be, so that the next request is read by the next one."""
     try:

@@ -20,7 +20,7 @@ from service.clock import now
 from service.core import Service
 from service.db.schema import assets, manifests, published
 from service.problems import Problem
-from service.processes import run_once, task_folder
+from service.processes import run_within, task_folder
 from service.settings import Settings
 
 SIGNED = ("sog", "glb")
@@ -111,10 +111,7 @@ def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer, ri
             "certificates": signer.chain.decode(),
             "key": signer.key.decode(),
         }
-        reply = run_once(service.settings, "sign", request, folder, CONVERTING_SECONDS, row.tenant)
-        if reply is None:
-            text = f"signing took over {CONVERTING_SECONDS:.0f} s"
-            raise Problem("unavailable", text, headers={"Retry-After": "60"})
+        reply = run_within(service.settings, "sign", request, folder, CONVERTING_SECONDS, row.tenant, "signing")
         kept = {name: service.blobs.put(folder / file) for name, file in reply["files"].items()}
     made = {
         "id": reply["manifest_id"],

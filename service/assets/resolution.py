@@ -29,9 +29,10 @@ from service.db.schema import assets, manifests, published
 from service.http.access import Anyone, Core
 from service.http.budgets import spend
 from service.http.error_responses import responses
+from service.http.file_responses import BINARY, one_file
 from service.jobs.port import Job, Run, State
 from service.problems import Problem
-from service.processes import Reply, run_once, task_folder
+from service.processes import Reply, run_within, task_folder
 from service.trust.api_keys import Caller
 from service.uploads.ingest import receive
 from service.uploads.store import kind_of
@@ -69,11 +70,7 @@ def _search(service: Service, caller: Caller, path: Path, rows: Any) -> str:
 
         def work(task: str, request: Mapping[str, Any]) -> Reply:
             seconds = INDEX_SECONDS if task == "index" else SEARCH_SECONDS
-            reply = run_once(service.settings, task, request, folder, seconds, caller.tenant)
-            if reply is None:
-                text = f"the search took over {seconds:.0f} s"
-                raise Problem("unavailable", text, headers={"Retry-After": "60"})
-            return reply
+            return run_within(service.settings, task, request, folder, seconds, caller.tenant, "the search")
 
         run = Run(Job("", caller.tenant, caller.key_id, "match", State.RUNNING, {}), folder=folder, work=work)
         return json.dumps(scores(service, run, suspect, rows))
@@ -89,12 +86,7 @@ def _count(service: Service, caller: Caller, original: str) -> None:
 router = APIRouter(prefix="/v1", tags=["credentials"])
 Most = Annotated[int, Query(alias="maxResults", ge=1, le=100, description="Ids to return at most.")]
 _MEDIA = ("application", "image", "model")
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_CONTENT = {"requestBody": {"required": True, "content": {f"{kind}/*": _BINARY for kind in _MEDIA}}}
-_FILE = {
-    "description": "The manifest store",
-    "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
-}
+_CONTENT = {"requestBody": {"required": True, "content": {f"{kind}/*": BINARY for kind in _MEDIA}}}
 
 
 class Match(BaseModel):
@@ -189,7 +181,7 @@ async def query_by_content(
     "/manifests/{manifest_id}",
     operation_id="getManifestById",
     response_class=Response,
-    responses={200: _FILE, **responses("not-found")},
+    responses={**one_file(MEDIA_TYPE, "The manifest store"), **responses("not-found")},
 )
 def get_manifest(manifest_id: str, core: Core) -> Response:
     """A manifest store, byte for byte as signed. It is bound to the exact file: for a changed copy it names the file

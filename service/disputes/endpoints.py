@@ -19,6 +19,7 @@ from service.db.schema import assets, jobs
 from service.http.access import Core, Disputer, Party
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
+from service.http.file_responses import PAGE
 from service.http.forms import RequestBody
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.results import DisputeResult
@@ -72,13 +73,7 @@ def get_dispute(dispute_id: str, core: Core, caller: Party) -> Settled:
 
 
 @router.get(
-    "/{dispute_id}/report",
-    operation_id="getDisputeReport",
-    response_class=Response,
-    responses={
-        200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
-        **OF_OWN,
-    },
+    "/{dispute_id}/report", operation_id="getDisputeReport", response_class=Response, responses={**PAGE, **OF_OWN}
 )
 def get_dispute_report(dispute_id: str, core: Core, caller: Party) -> Response:
     """The dispute as one page to read, print and send."""
