@@ -155,9 +155,8 @@ def _usual_key(core: Service, tenant: str) -> str:
     keys = list_keys(core.db, tenant)
     if len(keys) > 1:
         raise Problem("invalid-request", "body.key_id: this tenant has several owner keys: name one")
-    if not keys:
-        return store(core.db, core.master, tenant, OwnerKey.generate(), "made by the first embed").id
-    return keys[0].id
+    (key,) = keys or [store(core.db, core.master, tenant, OwnerKey.generate(), "made by the first embed")]
+    return str(key.id)
 
 
 class NoticeList(Listed[Notice]):

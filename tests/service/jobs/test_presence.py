@@ -8,8 +8,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.db.schema import workers
-from service.jobs.durable_jobs import DurableJobs
-from service.jobs.presence import Presence
+from service.jobs.durable_jobs import DurableJobs, Presence
 from service.settings import Settings
 from tests.service.jobs.conftest import Clock, opened
 
