@@ -14,8 +14,9 @@ import sqlalchemy as sa
 
 from service.clock import ago, now
 from service.core import Service
-from service.db.schema import FOUND, assets, deliveries, notices, webhooks
+from service.db.schema import FOUND, assets, notices
 from service.embeds.screening import carried, choose, resembling
+from service.jobs.durable_jobs import announce
 from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
 
@@ -58,9 +59,7 @@ def _notify(service: Service, run: Run) -> Ending:
                 values = {"id": notice, "tenant": row.tenant, "asset": row.id, "created_at": now()}
                 values |= {"upload": run.job.request["asset"], "finding": json.dumps(found[row.id])}
                 connection.execute(notices.insert().values(values))
-                due = sa.select(webhooks.c.id, sa.literal(notice), sa.literal(now()), sa.literal(0))
-                due = due.where(webhooks.c.tenant == row.tenant, webhooks.c.events.contains(FOUND))
-                connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], due))
+                announce(connection, FOUND, row.tenant, notice)
     return {"state": State.SUCCEEDED, "result": {"notices": len(notified)}}
 
 

@@ -197,7 +197,8 @@ class DurableJobs:
         with self._db.write() as connection:
             this = (jobs.c.id == job_id) & _OPEN
             if connection.execute(sa.update(jobs).where(this).values(ended | _CHANGED)).rowcount:
-                _announce(connection, job_id)
+                tenant = sa.select(jobs.c.tenant).where(jobs.c.id == job_id).scalar_subquery()
+                announce(connection, ENDED, tenant, job_id)
 
     def settled(self, job: Job) -> None:
         """A step of a job, as it was begun, is done: what is tried next is another."""
@@ -240,7 +241,7 @@ class DurableJobs:
         ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
         with self._db.write() as connection:
             if connection.execute(sa.update(jobs).where(queued).values(ended | _CHANGED)).rowcount:
-                _announce(connection, job_id)
+                announce(connection, ENDED, tenant, job_id)
             connection.execute(sa.update(jobs).where(running).values({"cancelling": True} | _CHANGED))
         job = self.get(tenant, job_id)
         if job is not None and job.state == State.CANCELLED and not job.started_at:
@@ -396,11 +397,10 @@ def _with_limits(url: str) -> str:
     return address.update_query_dict(limits).render_as_string(hide_password=False)
 
 
-def _announce(connection: sa.Connection, job_id: str) -> None:
-    """What the end of a job, in its own transaction, adds to the messages of its tenant's webhooks."""
-    pending = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
-    pending = pending.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
-    pending = pending.where(webhooks.c.events.contains(ENDED))
+def announce(connection: sa.Connection, event: str, tenant: str | sa.ScalarSelect[str], about: str) -> None:
+    """Add a message about a job or a notice to those of the tenant's webhooks that listen to this event."""
+    pending = sa.select(webhooks.c.id, sa.literal(about), sa.literal(now()), sa.literal(0))
+    pending = pending.where(webhooks.c.tenant == tenant, webhooks.c.events.contains(event))
     connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], pending))
 
 
