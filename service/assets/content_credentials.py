@@ -64,11 +64,11 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
             return bare
         rights = (await asyncio.to_thread(published_of, service, row.id)).rights if kind == STATES else ""
         query = _query(row.id, sha256, signer, rights)
-        made = await asyncio.to_thread(_kept, service, query)
+        made = (await asyncio.to_thread(service.db.query, query)).first()
         if made is None:
             this = (sha256, f"credentials {row.id} {signer.fingerprint} {rights}")
             await once(service, row.tenant, this, lambda: _sign(service, row, sha256, kind, signer, rights))
-            made = await asyncio.to_thread(_kept, service, query)
+            made = (await asyncio.to_thread(service.db.query, query)).first()
     except InputError as error:
         _log.error("no Content Credentials for %s: %s", row.id, error)
         return bare
@@ -87,10 +87,6 @@ def forget_manifests(service: Service, asset: str) -> None:
     """They are no longer served; delivered files keep theirs."""
     service.db.change(sa.delete(manifests).where(manifests.c.asset == asset))
     service.db.change(sa.delete(published).where(published.c.asset == asset))
-
-
-def _kept(service: Service, query: sa.Select[Any]) -> Any:
-    return service.db.query(query).first()
 
 
 def _query(asset: str, sha256: str, signer: Signer, rights: str) -> sa.Select[Any]:

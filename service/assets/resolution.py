@@ -27,7 +27,7 @@ from service.core import Service
 from service.db import missing
 from service.db.schema import assets, manifests, published
 from service.http.access import Anyone, Core
-from service.http.budgets import spend
+from service.http.budgets import spend, spend_subject
 from service.http.error_responses import responses
 from service.http.file_responses import BINARY, one_file
 from service.jobs.port import Job, Run, State
@@ -55,7 +55,8 @@ async def find_alike(service: Service, caller: Caller, path: Path) -> list[tuple
     this = (secrets.token_hex(16), "by content")  # a question of its own: two askers of one share no file
     found = json.loads(await once(service, caller.tenant, this, lambda: _search(service, caller, path, rows)))
     if found:
-        await asyncio.to_thread(_count, service, caller, max(found, key=found.__getitem__))
+        clearest, what = max(found, key=found.__getitem__), "questions about what derives from one original"
+        await asyncio.to_thread(spend_subject, service, caller.tenant, clearest, what)
     hits = [(row.id, int(found[row.original_sha256])) for row in rows if row.original_sha256 in found]
     return sorted(hits, key=lambda hit: -hit[1])
 
@@ -74,13 +75,6 @@ def _search(service: Service, caller: Caller, path: Path, rows: Any) -> str:
 
         run = Run(Job("", caller.tenant, caller.key_id, "match", State.RUNNING, {}), folder=folder, work=work)
         return json.dumps(scores(service, run, suspect, rows))
-
-
-def _count(service: Service, caller: Caller, original: str) -> None:
-    """Against the asker's budget of this original: many answers about slight changes tell what the index sees."""
-    limit = service.settings.subject_verifies_per_day
-    subject = f"subject:{caller.tenant}:{original}"
-    spend(service.db, subject, limit, 24, "questions about what derives from one original")
 
 
 router = APIRouter(prefix="/v1", tags=["credentials"])

@@ -8,7 +8,6 @@ into the audit log, whose size every claim shows.
 import json
 from itertools import groupby
 from random import SystemRandom
-from typing import Any
 
 import sqlalchemy as sa
 
@@ -51,7 +50,8 @@ def _notify(service: Service, run: Run) -> Ending:
     found = {each["asset"]: each for each in run.results["watch"]["carries"]}
     with service.db.write() as connection:
         rows = connection.execute(sa.select(assets).where(assets.c.id.in_(found))).all()
-        rows = sorted(rows, key=lambda row: (row.tenant, row.original_sha256, -_worth(found[row.id])))
+        # Of an original's copies, one that is named by itself counts most.
+        rows = sorted(rows, key=lambda row: (row.tenant, row.original_sha256, -(found[row.id].get("copy_z") or 0.0)))
         notified = [next(copies) for _, copies in groupby(rows, key=lambda row: (row.tenant, row.original_sha256))]
         for number, row in enumerate(notified):
             notice = f"no_{run.job.request['asset'].removeprefix('as_')}_{number}"
@@ -61,8 +61,3 @@ def _notify(service: Service, run: Run) -> Ending:
                 connection.execute(notices.insert().values(values))
                 announce(connection, FOUND, row.tenant, notice)
     return {"state": State.SUCCEEDED, "result": {"notices": len(notified)}}
-
-
-def _worth(found: Any) -> float:
-    """A copy that is named by itself counts most."""
-    return float(found.get("copy_z") or 0.0)
