@@ -85,6 +85,15 @@ def test_time_in_which_nobody_could_write_does_not_count(
     assert jobs.recover(10) == ["w"]
 
 
+def test_a_worker_does_not_judge_itself(jobs: DurableJobs, clock: Clock) -> None:
+    """Its own signs of life may wait for a lock while it reads: its job must not begin a second time beside itself."""
+    jobs.presence.beat("w")
+    assert jobs.recover(10, "w") == []
+    clock.now += 20
+    assert jobs.recover(10, "w") == []
+    assert jobs.recover(10) == ["w"]
+
+
 def test_who_left_is_silent_at_once(presence: Presence) -> None:
     presence.beat("w")
     presence.leave("w")

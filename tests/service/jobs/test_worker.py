@@ -120,6 +120,7 @@ def test_a_killed_workers_job_goes_on_at_its_last_finished_step(workshop: Worksh
     assert workshop.ended("a").result == {"total": 3}
     assert kinds(workshop.wrote("a")) == ["first", "second begins", "second begins", "second ends", "commit"]
     assert str(second.pid) in workshop.wrote("a")[2]
+    assert not (workshop.settings.scratch / "work" / "one").exists(), "who takes over tidies up"
 
 
 @ON_SQLITE
