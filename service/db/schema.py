@@ -7,14 +7,17 @@ metadata = sa.MetaData()
 
 
 def key(*names: str) -> list[sa.Column[str]]:
+    """Columns of a primary key."""
     return [Column(name, Text, primary_key=True) for name in names]
 
 
 def texts(*names: str, null: bool = False, index: bool = False) -> list[sa.Column[str]]:
+    """Columns of text."""
     return [Column(name, Text, nullable=null, index=index) for name in names]
 
 
 def number(name: str, default: int | None = 0) -> sa.Column[int]:
+    """A column of whole numbers; without a `default` it may be NULL."""
     return Column(name, BigInteger, nullable=default is None, default=default)
 
 
