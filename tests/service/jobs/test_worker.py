@@ -163,7 +163,8 @@ def test_a_worker_told_to_stop_hands_its_job_back(workshop: Workshop, tmp_path: 
     assert first.wait(5) == 0
     assert time.monotonic() - started < 5
     assert gone_within(pid, 1.0)
-    assert workshop.job("a").state == State.RUNNING
+    left = workshop.job("a")
+    assert (left.state, left.tries) == (State.RUNNING, 0), "a shut-down counts as no failed attempt"
     workshop.start("two", worker_silence_seconds=600)  # it need not wait out the silence
     assert workshop.ended("a").state == State.SUCCEEDED
     assert pid_in(tmp_path / "pid") != pid
