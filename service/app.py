@@ -20,19 +20,19 @@ from service.assets.publishing import router as publishing
 from service.assets.resolution import router as credentials
 from service.claims.endpoints import packs
 from service.claims.endpoints import router as claims
-from service.claims.share_endpoints import router as shares
+from service.claims.shares import router as shares
 from service.core import Service
 from service.disputes.endpoints import router as disputes
+from service.embeds.endpoints import notices
 from service.embeds.endpoints import router as embeds
-from service.embeds.notices import router as notices
-from service.health.endpoints import router as health
+from service.health import router as health
 from service.http.access import check_address
 from service.http.error_responses import install
 from service.http.middleware import BodyGuard, SafeHeaders
 from service.keys.api_keys import router as api_keys
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me
-from service.tracking.endpoints import router as jobs
+from service.tracking import router as jobs
 from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
 from service.webhooks.endpoints import router as webhooks

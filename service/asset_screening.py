@@ -53,7 +53,8 @@ def scores(service: Service, run: Run, suspect: Mapping[str, Any], rows: Sequenc
 def _ask(service: Service, run: Run, suspect: Mapping[str, Any], rows: Sequence[Any]) -> Reply:
     """The reply of the task `screen`; the kept index is renewed first where it lacks much."""
     folder = service.settings.data_dir / "catalogue"
-    entries = _entries(service)
+    newest = sa.select(assets.c.original_sha256, assets.c.sketch_sha256).order_by(assets.c.registered_at)
+    entries = {row.original_sha256: row.sketch_sha256 for row in service.db.query(newest)}  # the last one counts
     kept, known = _kept(folder)
     if len(entries.keys() - known) > MOST_MISSING:
         kept, known = _write(service, run, folder, kept, known, entries)
@@ -66,12 +67,6 @@ def _ask(service: Service, run: Run, suspect: Mapping[str, Any], rows: Sequence[
             "among": sorted({row.original_sha256 for row in rows}),
         },
     )
-
-
-def _entries(service: Service) -> dict[str, str]:
-    """Of each original, the digest of the newest entry."""
-    query = sa.select(assets.c.original_sha256, assets.c.sketch_sha256).order_by(assets.c.registered_at)
-    return {row.original_sha256: row.sketch_sha256 for row in service.db.query(query)}
 
 
 def _kept(folder: Path) -> tuple[Path | None, set[str]]:

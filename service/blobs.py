@@ -51,12 +51,20 @@ class Blobs:
         Durable when it returns: the bytes and the folder's entry are on the disk (or in the store).
         """
         digest = sha256 or digest_of(path)
-        self._place(path, blob_name(digest))
+        self.put_part(path, blob_name(digest))
         return digest
 
     def put_part(self, path: Path, name: str) -> None:
-        """Keep a part of an upload under a name of ours; the path is used up."""
-        self._place(path, name)
+        """Keep a file, such as a part of an upload, under a name of ours; the path is used up."""
+        if self.folder is None:
+            obstore.put(self.store, name, path)
+            path.unlink()
+            return
+        target = self.folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sync(path)
+        os.replace(path, target)
+        _sync(target.parent)
 
     def local(self, sha256: str, into: Path) -> Path:
         """A path where the blob can be read: its own where blobs are local, else a copy in the folder `into`."""
@@ -108,17 +116,6 @@ class Blobs:
     def free_bytes(self) -> int:
         """Space left for files in the making."""
         return shutil.disk_usage(self.scratch).free
-
-    def _place(self, path: Path, name: str) -> None:
-        if self.folder is None:
-            obstore.put(self.store, name, path)
-            path.unlink()
-            return
-        target = self.folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _sync(path)
-        os.replace(path, target)
-        _sync(target.parent)
 
 
 def blob_name(sha256: str) -> str:

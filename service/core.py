@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from engine.errors import InputError
 from service.blobs import Blobs
-from service.db import Database
+from service.db import Database, fact
 from service.db.schema import facts
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run
@@ -71,8 +71,8 @@ class Service:
     def public_url(self) -> str:
         """Address of this service, without a slash at its end: the setting, else what was entered; "" for none."""
         if not (url := self.settings.public_url):
-            query = sa.select(facts.c.value).where(facts.c.name == PUBLIC_URL)
-            url = self.db.query(query).scalar_one_or_none() or ""
+            with self.db.read() as connection:
+                url = fact(connection, PUBLIC_URL) or ""
         return url.rstrip("/")
 
     def set_public_url(self, caller: Caller, url: str) -> None:
@@ -117,7 +117,9 @@ class Service:
         """
         rows = list(rows)
         found: list[Candidate] = []
-        logged, vouched = self._logged([row.id for row in rows]), vouching(self.settings)
+        with self.db.read() as connection:
+            logged = {row.id: {"at": registration_of(connection, row.id).at} for row in rows}
+        vouched = vouching(self.settings)
         for row in rows:
             try:
                 key = open_key(self.db, self.master, row.tenant, row.owner_key)
@@ -136,12 +138,6 @@ class Service:
                 }
             )
         return found
-
-    def _logged(self, names: list[str]) -> dict[str, dict[str, str]]:
-        """What the log says of each registration: when."""
-        with self.db.read() as connection:
-            entries = [registration_of(connection, name) for name in names]
-        return {entry.subject: {"at": entry.at} for entry in entries}
 
     def close(self) -> None:
         """Give connections back."""

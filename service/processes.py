@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from service.problems import KINDS, Problem
 from service.settings import Settings
@@ -79,15 +79,17 @@ class _Process:
     """A process that does a task, or forks one for each, and what it says."""
 
     def __init__(self, popen: subprocess.Popen[bytes]) -> None:
-        self.popen, self.lines = popen, queue.Queue[bytes]()
+        assert popen.stdin is not None
+        assert popen.stdout is not None  # both are opened as pipes
+        self.popen, self._requests, self._answers = popen, popen.stdin, popen.stdout
+        self.lines = queue.Queue[bytes]()
         self.reusable = False  # its fork answered and is gone
         threading.Thread(target=self._read, daemon=True).start()
 
     def tell(self, line: bytes) -> None:
         """BrokenPipeError where it is gone."""
-        stdin = _pipe(self.popen.stdin)
-        stdin.write(line)
-        stdin.flush()
+        self._requests.write(line)
+        self._requests.flush()
 
     def kill(self) -> None:
         """With all it started."""
@@ -99,14 +101,14 @@ class _Process:
         """Kill it and wait for its end."""
         self.kill()
         self.popen.wait()
-        for pipe in (self.popen.stdin, self.popen.stdout):
+        for pipe in (self._requests, self._answers):
             with suppress(OSError):
-                _pipe(pipe).close()
+                pipe.close()
 
     def _read(self) -> None:
         """Lines of the process; an empty one is the end."""
         with suppress(OSError, ValueError):  # closed under our hands once the process is done with
-            while line := _pipe(self.popen.stdout).readline(MAX_LINE_BYTES):
+            while line := self._answers.readline(MAX_LINE_BYTES):
                 self.lines.put(line)
         self.lines.put(b"")
 
@@ -318,6 +320,16 @@ def run_once(
             return None
 
 
+def run_within(
+    settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float, tenant: str, what: str
+) -> Reply:
+    """As `run_once`; unavailable, as `what` took too long, where there is no reply in time."""
+    reply = run_once(settings, task, request, folder, seconds, tenant)
+    if reply is None:
+        raise Problem("unavailable", f"{what} took over {seconds:.0f} s", headers={"Retry-After": "60"})
+    return reply
+
+
 def _ended_well(process: _Process) -> bool:
     """Whether a fork that answered is gone as it should be, so that the next request is read by the next one."""
     try:
@@ -351,8 +363,3 @@ def _problem(plain: Mapping[str, Any]) -> Problem:
     kind = str(plain.get("kind"))
     extra = {name: value for name, value in plain.items() if name not in ("kind", "detail")}
     return Problem(kind if kind in KINDS else "internal", str(plain.get("detail", "")), **extra)
-
-
-def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
-    assert pipe is not None  # all are opened as pipes
-    return pipe

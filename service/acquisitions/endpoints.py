@@ -1,34 +1,49 @@
 """/v1/acquisitions: suspects, preserved as found, before they are examined."""
 
 import asyncio
+import base64
+import secrets
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
+import httpx
 from fastapi import APIRouter, Depends, Response
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, model_validator
 
-from service.acquisitions import registry
-from service.acquisitions.archive import MEDIA_TYPE
-from service.acquisitions.fetching import fetch
+from engine.records.timestamps import stamp
+from service.acquisitions.archive import MEDIA_TYPE, write_warc
+from service.acquisitions.fetching import Exchange, fetch
 from service.claims.schema import Url
+from service.clock import now
 from service.core import Service
-from service.db import missing, own
+from service.db import own
 from service.db.schema import acquisitions
 from service.http import idempotency
-from service.http.access import Admin, After, Core, Limit, Listed, Reader, Verifier, may
+from service.http.access import Admin, After, Core, Limit, Listed, Reader, Verifier, may, visible
 from service.http.budgets import spend
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.file_responses import Want, file_responses, send_blob
 from service.http.forms import RequestBody
 from service.http.job_responses import RetryKey
 from service.http.results import Time
+from service.problems import Problem
+from service.processes import task_folder
+from service.trust import audit
 from service.trust.api_keys import Caller
-from service.trust.commitments import forget
-from service.uploads import store
+from service.trust.canonical import canonical, digest
+from service.trust.commitments import ACQUISITION_MADE, acquisition_facts, forget
+from service.uploads import ingest, store
+from service.uploads.store import Received
 
 router = APIRouter(prefix="/v1/acquisitions", tags=["acquisitions"])
 Viewer = Annotated[Caller, Depends(may("read", "verify"))]
 """Sees acquisitions: without `read`, those of this very key."""
 _EXAMPLES: JsonValue = [{"url": "https://models.example/stolen.ply"}, {"upload_id": "up_f6b2ce7c59a1e745e1b7d86e"}]
+
+
+def _encoded(token: bytes | None) -> str | None:
+    return None if token is None else base64.b64encode(token).decode()
 
 
 class NewAcquisition(RequestBody):
@@ -60,7 +75,7 @@ class Acquisition(BaseModel):
     upload_id: str | None = Field(
         validation_alias="upload", description="The suspect as an upload, to verify; null if it is no suspect."
     )
-    timestamp: Annotated[str | None, BeforeValidator(registry.encoded)] = Field(
+    timestamp: Annotated[str | None, BeforeValidator(_encoded)] = Field(
         description="RFC 3161 token of id, url, at, payload_sha256 and warc_sha256 as canonical JSON, base64; null"
         " where none was made."
     )
@@ -124,12 +139,12 @@ async def _acquired(core: Service, caller: Caller, body: NewAcquisition) -> tupl
     what = "acquisitions of this API key"
     await asyncio.to_thread(spend, core.db, f"acquire:{caller.key_id}", limit, 1, what)
     if body.url is None:
-        return await asyncio.to_thread(registry.keep_upload, core, caller, body.upload_id or "")
+        return await asyncio.to_thread(_keep_upload, core, caller, body.upload_id or "")
     url, limits = str(body.url), core.settings
     most = min(limits.max_upload_bytes, await asyncio.to_thread(store.left, core, caller.tenant))
     with core.blobs.new_file() as file:
         exchanges, got = await fetch(url, file, most, limits.acquire_seconds, private=limits.acquisitions_private)
-        return await asyncio.to_thread(registry.keep_fetched, core, caller, url, file, got, exchanges)
+        return await asyncio.to_thread(_keep_fetched, core, caller, url, file, got, exchanges)
 
 
 @router.get("", operation_id="listAcquisitions", responses=OF_LIST)
@@ -141,7 +156,7 @@ def list_acquisitions(core: Core, caller: Reader, limit: Limit = 20, after: Afte
 @router.get("/{acquisition_id}", operation_id="getAcquisition", responses=OF_OWN)
 def get_acquisition(acquisition_id: str, core: Core, caller: Viewer) -> Acquisition:
     """An acquisition."""
-    return Acquisition.model_validate(_seen(core, caller, acquisition_id))
+    return Acquisition.model_validate(visible(core, caller, acquisitions, acquisition_id))
 
 
 @router.get(
@@ -152,7 +167,7 @@ def get_acquisition(acquisition_id: str, core: Core, caller: Viewer) -> Acquisit
 )
 def get_warc(acquisition_id: str, core: Core, caller: Viewer, want: Want) -> Response:
     """The WARC file (ISO 28500, gzip): what was sent and answered, byte for byte."""
-    row = _seen(core, caller, acquisition_id)
+    row = visible(core, caller, acquisitions, acquisition_id)
     return send_blob(core, row.warc_sha256, f"{row.id}.warc.gz", MEDIA_TYPE, want)
 
 
@@ -162,8 +177,51 @@ def delete_acquisition(acquisition_id: str, core: Core, caller: Admin) -> None:
     forget(core.db, acquisitions, caller.tenant, acquisition_id)
 
 
-def _seen(core: Service, caller: Caller, acquisition_id: str) -> Any:
-    row = own(core.db, acquisitions, caller.tenant, acquisition_id)
-    if not caller.may("read") and row.api_key != caller.key_id:
-        raise missing(acquisitions, acquisition_id)
-    return row
+def _keep_fetched(
+    service: Service, caller: Caller, url: str, body: Path, got: Received, exchanges: Sequence[Exchange]
+) -> tuple[Any, str]:
+    """The row of what was fetched, and why it has no time stamp, if it has none. A suspect becomes an upload, too."""
+    with service.blobs.new_file() as warc:
+        write_warc(warc, body, exchanges, "", exchanges[-1].at)
+        name = PurePosixPath(httpx.URL(exchanges[-1].url).path).name[:200]
+        row = store.create(service, caller, name, got.length or None, None)
+        row = store.complete(service, row, body, got)
+        upload: str | None = row.id
+        try:
+            ingest.inspect(service, [row])
+        except Problem as problem:
+            if problem.status >= 500:
+                raise
+            upload = None  # a page, say: it is evidence all the same
+        return _keep(service, caller, warc, url=url, at=exchanges[-1].at, got=got, upload=upload)
+
+
+def _keep_upload(service: Service, caller: Caller, upload_id: str) -> tuple[Any, str]:
+    """As `_keep_fetched`, of a file that the caller uploaded."""
+    row = ingest.complete_upload(service, caller, upload_id)
+    at = now()
+    with service.blobs.new_file() as warc, task_folder(service.settings) as folder:
+        write_warc(warc, service.blobs.local(row.sha256, folder), [], row.name, at)
+        got = Received(row.size, row.sha256, whole=True)
+        return _keep(service, caller, warc, url=None, at=at, got=got, upload=row.id)
+
+
+def _keep(
+    service: Service, caller: Caller, warc: Path, *, url: str | None, at: str, got: Received, upload: str | None
+) -> tuple[Any, str]:
+    size = warc.stat().st_size
+    acquisition = f"aq_{secrets.token_hex(12)}"
+    values: dict[str, str | None] = {"id": acquisition, "url": url, "at": at}
+    values |= {"payload_sha256": got.sha256, "warc_sha256": service.blobs.put(warc)}
+    facts = acquisition_facts(values)
+    token, failure = None, "this service uses no time-stamping service"
+    if service.settings.tsa_url:
+        stamped = stamp(service.settings.tsa_url, canonical(facts))
+        token, failure = stamped.token, stamped.failure
+    values |= {"tenant": caller.tenant, "api_key": caller.key_id, "created_at": now(), "upload": upload}
+    with service.db.exclusive() as connection:
+        store.check_quota(connection, service.settings, caller.tenant, size)
+        row = values | {"bytes": got.length, "warc_bytes": size, "timestamp": token}
+        connection.execute(acquisitions.insert().values(row))
+        audit.append(connection, caller.tenant, ACQUISITION_MADE, {"digest": digest(facts)}, acquisition)
+    return own(service.db, acquisitions, caller.tenant, acquisition), failure

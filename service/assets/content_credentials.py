@@ -20,7 +20,7 @@ from service.clock import now
 from service.core import Service
 from service.db.schema import assets, manifests, published
 from service.problems import Problem
-from service.processes import run_once, task_folder
+from service.processes import run_within, task_folder
 from service.settings import Settings
 
 SIGNED = ("sog", "glb")
@@ -64,11 +64,11 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
             return bare
         rights = (await asyncio.to_thread(published_of, service, row.id)).rights if kind == STATES else ""
         query = _query(row.id, sha256, signer, rights)
-        made = await asyncio.to_thread(_kept, service, query)
+        made = (await asyncio.to_thread(service.db.query, query)).first()
         if made is None:
             this = (sha256, f"credentials {row.id} {signer.fingerprint} {rights}")
             await once(service, row.tenant, this, lambda: _sign(service, row, sha256, kind, signer, rights))
-            made = await asyncio.to_thread(_kept, service, query)
+            made = (await asyncio.to_thread(service.db.query, query)).first()
     except InputError as error:
         _log.error("no Content Credentials for %s: %s", row.id, error)
         return bare
@@ -89,10 +89,6 @@ def forget_manifests(service: Service, asset: str) -> None:
     service.db.change(sa.delete(published).where(published.c.asset == asset))
 
 
-def _kept(service: Service, query: sa.Select[Any]) -> Any:
-    return service.db.query(query).first()
-
-
 def _query(asset: str, sha256: str, signer: Signer, rights: str) -> sa.Select[Any]:
     """The row of what was signed of this very file by this signer, with this statement of rights."""
     same = (manifests.c.source_sha256 == sha256) & (manifests.c.signer == signer.fingerprint)
@@ -111,10 +107,7 @@ def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer, ri
             "certificates": signer.chain.decode(),
             "key": signer.key.decode(),
         }
-        reply = run_once(service.settings, "sign", request, folder, CONVERTING_SECONDS, row.tenant)
-        if reply is None:
-            text = f"signing took over {CONVERTING_SECONDS:.0f} s"
-            raise Problem("unavailable", text, headers={"Retry-After": "60"})
+        reply = run_within(service.settings, "sign", request, folder, CONVERTING_SECONDS, row.tenant, "signing")
         kept = {name: service.blobs.put(folder / file) for name, file in reply["files"].items()}
     made = {
         "id": reply["manifest_id"],

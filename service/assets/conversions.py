@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from service.core import Service
 from service.db.schema import conversions
 from service.problems import Problem
-from service.processes import run_once, task_folder
+from service.processes import run_within, task_folder
 
 CONVERTING_SECONDS = 60.0
 _threads = ThreadPoolExecutor(32, "convert")
@@ -65,10 +65,7 @@ def _convert(service: Service, tenant: str, sha256: str, kind: str) -> str:
     """Make it, in a process of its own."""
     with task_folder(service.settings) as folder:
         request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
-        reply = run_once(service.settings, "convert", request, folder, CONVERTING_SECONDS, tenant)
-        if reply is None:
-            text = f"converting took over {CONVERTING_SECONDS:.0f} s"
-            raise Problem("unavailable", text, headers={"Retry-After": "60"})
+        reply = run_within(service.settings, "convert", request, folder, CONVERTING_SECONDS, tenant, "converting")
         digest = service.blobs.put(folder / reply["files"]["model"])
     keep(service, sha256, kind, digest)
     return digest

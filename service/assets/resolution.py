@@ -27,11 +27,12 @@ from service.core import Service
 from service.db import missing
 from service.db.schema import assets, manifests, published
 from service.http.access import Anyone, Core
-from service.http.budgets import spend
+from service.http.budgets import spend, spend_subject
 from service.http.error_responses import responses
+from service.http.file_responses import BINARY, one_file
 from service.jobs.port import Job, Run, State
 from service.problems import Problem
-from service.processes import Reply, run_once, task_folder
+from service.processes import Reply, run_within, task_folder
 from service.trust.api_keys import Caller
 from service.uploads.ingest import receive
 from service.uploads.store import kind_of
@@ -54,7 +55,8 @@ async def find_alike(service: Service, caller: Caller, path: Path) -> list[tuple
     this = (secrets.token_hex(16), "by content")  # a question of its own: two askers of one share no file
     found = json.loads(await once(service, caller.tenant, this, lambda: _search(service, caller, path, rows)))
     if found:
-        await asyncio.to_thread(_count, service, caller, max(found, key=found.__getitem__))
+        clearest, what = max(found, key=found.__getitem__), "questions about what derives from one original"
+        await asyncio.to_thread(spend_subject, service, caller.tenant, clearest, what)
     hits = [(row.id, int(found[row.original_sha256])) for row in rows if row.original_sha256 in found]
     return sorted(hits, key=lambda hit: -hit[1])
 
@@ -69,32 +71,16 @@ def _search(service: Service, caller: Caller, path: Path, rows: Any) -> str:
 
         def work(task: str, request: Mapping[str, Any]) -> Reply:
             seconds = INDEX_SECONDS if task == "index" else SEARCH_SECONDS
-            reply = run_once(service.settings, task, request, folder, seconds, caller.tenant)
-            if reply is None:
-                text = f"the search took over {seconds:.0f} s"
-                raise Problem("unavailable", text, headers={"Retry-After": "60"})
-            return reply
+            return run_within(service.settings, task, request, folder, seconds, caller.tenant, "the search")
 
         run = Run(Job("", caller.tenant, caller.key_id, "match", State.RUNNING, {}), folder=folder, work=work)
         return json.dumps(scores(service, run, suspect, rows))
 
 
-def _count(service: Service, caller: Caller, original: str) -> None:
-    """Against the asker's budget of this original: many answers about slight changes tell what the index sees."""
-    limit = service.settings.subject_verifies_per_day
-    subject = f"subject:{caller.tenant}:{original}"
-    spend(service.db, subject, limit, 24, "questions about what derives from one original")
-
-
 router = APIRouter(prefix="/v1", tags=["credentials"])
 Most = Annotated[int, Query(alias="maxResults", ge=1, le=100, description="Ids to return at most.")]
 _MEDIA = ("application", "image", "model")
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_CONTENT = {"requestBody": {"required": True, "content": {f"{kind}/*": _BINARY for kind in _MEDIA}}}
-_FILE = {
-    "description": "The manifest store",
-    "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
-}
+_CONTENT = {"requestBody": {"required": True, "content": {f"{kind}/*": BINARY for kind in _MEDIA}}}
 
 
 class Match(BaseModel):
@@ -189,7 +175,7 @@ async def query_by_content(
     "/manifests/{manifest_id}",
     operation_id="getManifestById",
     response_class=Response,
-    responses={200: _FILE, **responses("not-found")},
+    responses={**one_file(MEDIA_TYPE, "The manifest store"), **responses("not-found")},
 )
 def get_manifest(manifest_id: str, core: Core) -> Response:
     """A manifest store, byte for byte as signed. It is bound to the exact file: for a changed copy it names the file

@@ -53,16 +53,13 @@ class Manifest:
         """The list of a folder's files; InputError where the folder is no whole backup, or one of a later version."""
         try:
             plain = json.loads((folder / NAME).read_bytes())
-            form, made_at = int(plain["format"]), str(plain["made_at"])
+            if int(plain["format"]) > FORMAT:
+                raise InputError(f"a later version of this program wrote {folder}: use that one")
+            made_at = str(plain["made_at"])
+            files = {str(name): File(int(f["bytes"]), str(f["sha256"])) for name, f in plain["files"].items()}
         except (FileNotFoundError, NotADirectoryError):
             text = f"{folder} is no backup, or one that was broken off: {NAME}, which is written last, is not in it"
             raise InputError(text) from None
-        except (ValueError, KeyError, TypeError):
-            raise InputError(f"{folder / NAME} is damaged: take another backup") from None
-        if form > FORMAT:
-            raise InputError(f"a later version of this program wrote {folder}: use that one")
-        try:
-            files = {str(name): File(int(f["bytes"]), str(f["sha256"])) for name, f in plain["files"].items()}
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{folder / NAME} is damaged: take another backup") from None
         for name in map(PurePosixPath, files):

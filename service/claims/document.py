@@ -3,7 +3,7 @@
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any, cast
 
@@ -75,16 +75,6 @@ def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
     return full | unnamed | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Examined:
-    """What was examined: the suspect's files, and the pictures that were drawn for the report."""
-
-    sha256: Sequence[str]  # of each file, in order
-    pictures: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by name, stored already
-    names: Sequence[str] = ()  # of the files, not signed
-    acquisition: str | None = None  # its id, where the file was acquired
-
-
 @dataclass(frozen=True)
 class Registered:
     """The asset that a claim is about, if it is about one, and what the log says of it."""
@@ -96,7 +86,7 @@ class Registered:
 
 def build_document(
     reply: Mapping[str, Any],
-    examined: Examined,
+    suspect: Sequence[str],
     registered: Registered,
     *,
     claim_id: str,
@@ -107,8 +97,9 @@ def build_document(
 ) -> Document:
     """The document without its member `audit`, as JSON values.
 
-    Made of the `reply` of the task `verify`. `issuer` has `name` and `address`; `owner` is the display name of the
-    tenant; `acquisition` is the member of that name.
+    Made of the `reply` of the task `verify`, whose pictures are stored already. `suspect`: SHA-256 of each file
+    that was examined, in order. `issuer` has `name` and `address`; `owner` is the display name of the tenant;
+    `acquisition` is the member of that name.
     """
     asset = registered.asset
     registered_at, first_at = (
@@ -126,7 +117,7 @@ def build_document(
         "searched": reply["searched"],
         "subject": {
             "kind": "pictures" if subject["pictures"] else "model",
-            "sha256": list(examined.sha256),
+            "sha256": list(suspect),
             "format": subject["format"] or "pictures",
             "gaussians": subject["gaussians"],
         },
@@ -135,7 +126,7 @@ def build_document(
         "drawing": reply.get("drawing"),  # replies of before have none
         "tries": reply["tries"],
         "checks": [{name: check[name] for name in ("code", "ok", "text")} for check in reply["checks"]],
-        "pictures": dict(examined.pictures),
+        "pictures": dict(reply["kept"]),
         "regions": reply.get("regions"),  # replies of before have none
         **(_found(claim, reply["registered_message"]) if claim is not None else _NOTHING),
     }

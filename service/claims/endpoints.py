@@ -1,5 +1,6 @@
 """/v1/claims, and the public keys that they are checked with."""
 
+import base64
 import json
 import re
 from typing import Annotated, Any, Literal
@@ -9,13 +10,16 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from engine.present.wording import named_copy
-from service.claims.document import document_words
-from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
+from service.claims.document import Summary, document_words, summary_of
+from service.claims.pack import make_pack, shown_in_pack
+from service.claims.report import report_html
 from service.claims.schema import OwnerStatement
+from service.core import Service
 from service.db import holding, page
 from service.db.schema import assets, claims
 from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Listed, Reader, Words, visible
 from service.http.error_responses import OF_LIST, OF_OWN, responses
+from service.http.file_responses import PAGE, TEXT, one_file
 from service.http.results import Time
 from service.trust.commitments import forget
 from service.trust.signing import jwks
@@ -24,6 +28,17 @@ router = APIRouter(tags=["claims"])
 packs = APIRouter(tags=["claims"])
 SOUGHT = "Part of a suspect's file name, of the claim's or asset's id, label or copy name; or a suspect's SHA-256."
 JWS_TYPE = "application/jose"
+PACK_TYPE = "application/zip"
+ZIP = one_file(PACK_TYPE, "A ZIP")
+
+
+class SignedClaim(BaseModel):
+    """A claim: the document, and the signature over it."""
+
+    document: dict[str, Any] = Field(description="What is signed (see docs/CLAIM.md).")
+    jws: str = Field(description="Compact JWS over the document, Ed25519.")
+    timestamp: str | None = Field(description="RFC 3161 token of the JWS, base64; null where none was made.")
+    summary: Summary
 
 
 class ClaimSummary(BaseModel):
@@ -74,7 +89,7 @@ def list_claims(
     "/v1/claims/{claim_id}.jws",
     operation_id="getClaimJws",
     response_class=Response,
-    responses={200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"}, **OF_OWN},
+    responses={**one_file(JWS_TYPE, "Compact JWS", TEXT), **OF_OWN},
 )
 def get_jws(claim_id: str, core: Core, caller: Follower) -> Response:
     """The signed claim alone, to hand to a third party."""
@@ -119,6 +134,27 @@ def key_set(core: Core, response: Response) -> KeySet:
     """Public keys that verify claims, retired ones too."""
     response.headers["Cache-Control"] = "public, max-age=300"
     return KeySet(keys=jwks(core.db)["keys"])
+
+
+def signed(row: Any) -> SignedClaim:
+    """The claim of a row of the table `claims`."""
+    stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
+    document = json.loads(row.document)
+    return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=summary_of(document))
+
+
+def report_page(service: Service, row: Any) -> Response:
+    """The claim as one page."""
+    pictures = {name: service.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
+    return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
+
+
+def pack_file(service: Service, row: Any, given: OwnerStatement) -> Response:
+    """The claim's pack; conflict where it recognised nothing."""
+    document, digests = json.loads(row.document), json.loads(row.pictures)
+    pictures = {name: service.blobs.read(digests[name]) for name in shown_in_pack(digests)}
+    headers = {"Content-Disposition": f'attachment; filename="{row.id}-pack.zip"', "Cache-Control": "no-store"}
+    return Response(make_pack(document, row.jws, pictures, row.timestamp, given), headers=headers, media_type=PACK_TYPE)
 
 
 def _about(tenant: str, text: str) -> sa.ColumnElement[bool]:

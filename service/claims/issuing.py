@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from engine.present.reading import reading_of
 from engine.records.timestamps import stamp
-from service.claims.document import Examined, Registered, build_document, document_reading, no_pack
+from service.claims.document import Registered, build_document, document_reading, no_pack
 from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
@@ -42,22 +42,8 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
     Returns the job's result.
     """
     issuer = {"name": service.settings.issuer_name, "address": service.public_url()}
-    files = [job.request["model"]] if job.request["model"] else list(job.request["images"])
     with service.db.write() as connection:
-        claim = issue_claim(
-            connection,
-            service.master,
-            tenant=job.tenant,
-            job=job.id,
-            reply=reply,
-            examined=Examined(
-                sha256=files,
-                pictures=reply["kept"],
-                names=job.request.get("names", ()),  # jobs of earlier versions have none
-                acquisition=job.request.get("acquisition_id"),
-            ),
-            issuer=issuer,
-        )
+        claim = issue_claim(connection, service.master, job, reply, issuer)
     result: dict[str, Any] = {
         **document_reading(claim.document),
         "claim_id": claim.id,
@@ -94,11 +80,8 @@ def _others(db: Database, tenant: str, claims: Sequence[Mapping[str, Any]]) -> l
 def issue_claim(
     connection: sa.Connection,
     master: MasterKey,
-    *,
-    tenant: str,
-    job: str,
+    job: Job,
     reply: Mapping[str, Any],
-    examined: Examined,
     issuer: Mapping[str, str] | None = None,
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
@@ -108,16 +91,19 @@ def issue_claim(
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
     take_write_lock(connection)
-    query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)
+    query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job.id)
     if (row := connection.execute(query).one_or_none()) is not None:
         return IssuedClaim(row.id, json.loads(row.document), row.jws)
+    tenant, request = job.tenant, job.request
     registered = _registered(connection, tenant, reply["asset"])
-    acquisition = examined.acquisition
-    acquired = _acquired(connection, tenant, acquisition) if acquisition is not None else None
-    claim_id, created_at = "cl_" + job.removeprefix("job_"), now()
+    acquired = entry = None
+    if (acquisition := request.get("acquisition_id")) is not None:
+        acquired = _acquired(connection, tenant, acquisition)
+        entry = audit.find(connection, ACQUISITION_MADE, acquisition)
+    claim_id, created_at = "cl_" + job.id.removeprefix("job_"), now()
     document = build_document(
         reply,
-        examined,
+        [request["model"]] if request["model"] else request["images"],
         registered,
         claim_id=claim_id,
         created_at=created_at,
@@ -125,13 +111,13 @@ def issue_claim(
         owner=display_name(connection, tenant),
         acquisition=acquired,
     )
-    entry = audit.find(connection, ACQUISITION_MADE, examined.acquisition) if examined.acquisition else None
     document["audit"] = commit_claim(connection, tenant, document, registered.registration, registered.first, entry)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
-    values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
-    values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(dict(examined.pictures)).decode()}
-    values |= {"verdict": document["verdict"], "names": "\n".join(" ".join(name.split()) for name in examined.names)}
+    names = request.get("names", ())  # jobs of earlier versions have none
+    values = {"id": claim_id, "tenant": tenant, "job": job.id, "asset": document["asset"], "created_at": created_at}
+    values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(reply["kept"]).decode()}
+    values |= {"verdict": document["verdict"], "names": "\n".join(" ".join(name.split()) for name in names)}
     connection.execute(claims.insert().values(values))
     return IssuedClaim(claim_id, json.loads(payload), jws)
 

@@ -32,6 +32,7 @@ from service.trust.canonical import canonical, digest
 from service.trust.commitments import ACQUISITION_MADE, ASSET_REGISTERED, CLAIM_ISSUED, acquisition_facts, claim_digest
 
 UNTRUSTED = "no trusted certificate was given"
+Certificates = Sequence[x509.Certificate]
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,9 @@ class Findings:
 def verify_report(
     data: bytes,
     jwks: Mapping[str, Any],
-    tsa_certificates: Sequence[x509.Certificate] = (),
+    tsa_certificates: Certificates = (),
     others: Sequence[bytes] = (),
-    listed: Sequence[x509.Certificate] = (),
+    listed: Certificates = (),
 ) -> Findings:
     """Check a signed claim, a claim as JSON, or a report, by the keys that are trusted to sign claims, and the
     certificates that are trusted to vouch for a time-stamping service; and whether `others` are of the same log.
@@ -222,15 +223,13 @@ def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
     return Check(code, Status.FAIL, text)
 
 
-def _kind(token: bytes, listed: Sequence[x509.Certificate]) -> str:
+def _kind(token: bytes, listed: Certificates) -> str:
     """Whether a stamp is a qualified one, to end a sentence with."""
     kind = qualification(token, listed)
     return f": {kind}" if kind else ""
 
 
-def _stamp(
-    token: bytes, jws: str, certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
-) -> Check:
+def _stamp(token: bytes, jws: str, certificates: Certificates, listed: Certificates) -> Check:
     try:
         if certificates:
             at = check_stamp(token, jws.encode(), certificates)
@@ -243,9 +242,7 @@ def _stamp(
     return Check("timestamp", Status.NOT_CHECKED, text)
 
 
-def _drawing(
-    document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
-) -> Check:
+def _drawing(document: Mapping[str, Any], certificates: Certificates, listed: Certificates) -> Check:
     """Whether the stamp is about this original, and what it draws is what was registered."""
     drawing, original, found = document["drawing"], document["original"], document["audit"]["registration"]
     try:
@@ -266,9 +263,7 @@ def _drawing(
     return Check("drawing", Status.NOT_CHECKED, text)
 
 
-def _acquisition(
-    document: Mapping[str, Any], certificates: Sequence[x509.Certificate], listed: Sequence[x509.Certificate]
-) -> Check:
+def _acquisition(document: Mapping[str, Any], certificates: Certificates, listed: Certificates) -> Check:
     """Whether the suspect is the acquired file, logged before the claim, and who attests when it existed."""
     acquired, audit = document.get("acquisition"), document["audit"]
     found = audit.get("acquisition")

@@ -1,6 +1,7 @@
 """A client of the service, sync and async, on httpx alone: it knows neither the service's code nor the engine.
 
-Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` says what a flow is, `clients` does it.
+Installed, it is `mark3dgs.client`. Start at `calls` and `downloads` (what it can do); `wire` says what is sent
+again, `clients` sends it.
 """
 
 from service.client.answers import (

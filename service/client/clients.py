@@ -1,17 +1,16 @@
-"""The two drivers: flows done over httpx, in this thread or in an event loop."""
+"""The two clients: requests over httpx, in this thread or in an event loop."""
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Coroutine
 from functools import partial, wraps
 from types import TracebackType
-from typing import Any, BinaryIO, Generic, ParamSpec, Self, TypeVar, overload
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import httpx
 
-from service.client import downloads, flows
-from service.client.wire import Fetch, Flow, Pause, Progress, Reply, Request, Work, patient
+from service.client.downloads import Methods
+from service.client.wire import Reply, Request, Sink
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -21,67 +20,98 @@ TIMEOUT_SECONDS = 120.0
 _CHUNK = 1 << 20
 
 
-class _Method(Generic[P, T]):
-    """A flow as a method: `Client` returns its result, `AsyncClient` an awaitable of it."""
+class AsyncClient(Methods):
+    """As `Client`, each method awaited, in an `async with`."""
 
-    def __init__(self, flow: Callable[P, Flow[T]]) -> None:
-        self._flow = flow
-        self.__doc__ = flow.__doc__
+    def __init__(
+        self,
+        address: str,
+        api_key: str,
+        *,
+        patience: float = PATIENCE_SECONDS,
+        transport: httpx.AsyncBaseTransport | None = None,
+    ) -> None:
+        self.patience = patience
+        self._http = httpx.AsyncClient(
+            base_url=address, headers=_authorization(api_key), timeout=TIMEOUT_SECONDS, transport=transport
+        )
 
-    @overload
-    def __get__(self, client: "Client", kind: object = None) -> Callable[P, T]: ...
-    @overload
-    def __get__(self, client: "AsyncClient", kind: object = None) -> Callable[P, Awaitable[T]]: ...
-    @overload
-    def __get__(self, client: None, kind: object = None) -> Callable[P, Flow[T]]: ...
-    def __get__(self, client: "Client | AsyncClient | None", kind: object = None) -> Callable[P, Any]:
-        if client is None:
-            return self._flow
+    async def _exchange(self, request: Request, sink: Sink | None) -> Reply:
+        headers: dict[str, str] = {}
+        try:
+            async with self._http.stream(**_arguments(request)) as answer:
+                if sink is None or not answer.is_success:
+                    return Reply(answer.status_code, _headers(answer), await answer.aread())
+                headers = _headers(answer)
+                sink.begin(answer.status_code, headers.get("content-length", ""))
+                async for chunk in answer.aiter_bytes(_CHUNK):
+                    await self._work(partial(sink.write, chunk))
+                return Reply(answer.status_code, headers, b"")
+        except httpx.RequestError as error:
+            return _broken(error, headers)
 
-        @wraps(self._flow)
-        def method(*args: P.args, **kwargs: P.kwargs) -> Any:
-            return client.run(self._flow(*args, **kwargs))
+    async def _pause(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
 
-        return method
+    async def _work(self, do: Callable[[], T]) -> T:
+        return await asyncio.to_thread(do)
 
+    async def close(self) -> None:
+        """Close its connections."""
+        await self._http.aclose()
 
-class _Methods:
-    """What both clients can do."""
+    async def __aenter__(self) -> Self:
+        return self
 
-    acquire = _Method(flows.acquire)
-    acquisition = _Method(flows.acquisition)
-    acquisitions = _Method(flows.acquisitions)
-    add_webhook = _Method(flows.add_webhook)
-    notices = _Method(flows.notices)
-    asset = _Method(flows.asset)
-    assets = _Method(flows.assets)
-    call = _Method(flows.call)
-    cancel = _Method(flows.cancel)
-    claim = _Method(flows.claim)
-    claims = _Method(flows.claims)
-    delete_webhook = _Method(flows.delete_webhook)
-    download = _Method(downloads.download)
-    embed = _Method(flows.embed)
-    job = _Method(flows.job)
-    jobs = _Method(flows.jobs)
-    jws = _Method(downloads.jws)
-    me = _Method(flows.me)
-    pack = _Method(downloads.pack)
-    record = _Method(downloads.record)
-    report = _Method(downloads.report)
-    revoke_share = _Method(flows.revoke_share)
-    share = _Method(flows.share)
-    shares = _Method(flows.shares)
-    submit_embed = _Method(flows.submit_embed)
-    submit_verify = _Method(flows.submit_verify)
-    upload = _Method(flows.upload)
-    verify = _Method(flows.verify)
-    wait = _Method(flows.wait)
-    warc = _Method(downloads.warc)
-    webhooks = _Method(flows.webhooks)
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        await self.close()
 
 
-class Client(_Methods):
+class _Blocking(Methods):
+    """The same in this thread: nothing here waits for an event loop, so each method is done in its first step."""
+
+    def __init__(self, http: httpx.Client, patience: float) -> None:
+        self.http, self.patience = http, patience
+
+    async def _exchange(self, request: Request, sink: Sink | None) -> Reply:
+        headers: dict[str, str] = {}
+        try:
+            with self.http.stream(**_arguments(request)) as answer:
+                if sink is None or not answer.is_success:
+                    return Reply(answer.status_code, _headers(answer), answer.read())
+                headers = _headers(answer)
+                sink.begin(answer.status_code, headers.get("content-length", ""))
+                for chunk in answer.iter_bytes(_CHUNK):
+                    sink.write(chunk)
+                return Reply(answer.status_code, headers, b"")
+        except httpx.RequestError as error:
+            return _broken(error, headers)
+
+    async def _pause(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    async def _work(self, do: Callable[[], T]) -> T:
+        return do()
+
+
+def _now(method: Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]) -> Callable[Concatenate["Client", P], T]:
+    """A method of `Client`, which returns what that of `AsyncClient` gives an awaitable of."""
+
+    @wraps(method)
+    def done(client: "Client", /, *args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            method(client._line, *args, **kwargs).send(None)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+        raise AssertionError("a step of a blocking client waited")
+
+    return done
+
+
+class Client:
     """A tenant's client of one service; closes its connections at the end of a `with`.
 
     Parameters
@@ -104,56 +134,46 @@ class Client(_Methods):
         patience: float = PATIENCE_SECONDS,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        self.patience = patience
-        self._http = httpx.Client(
+        http = httpx.Client(
             base_url=address, headers=_authorization(api_key), timeout=TIMEOUT_SECONDS, transport=transport
         )
+        self._line = _Blocking(http, patience)
 
-    def run(self, flow: Flow[T]) -> T:
-        """Do a flow."""
-        with closing(patient(flow, self.patience)) as steps:
-            got: Any = None
-            while True:
-                try:
-                    action = steps.send(got)
-                except StopIteration as end:
-                    result: T = end.value
-                    return result
-                got = None
-                if isinstance(action, Pause):
-                    time.sleep(action.seconds)
-                elif isinstance(action, Work):
-                    got = action.do()
-                elif isinstance(action, Fetch):
-                    got = self._send(action.request, action)
-                else:
-                    got = self._send(action)
-
-    def _send(self, request: Request, fetch: Fetch | None = None) -> Reply:
-        headers: dict[str, str] = {}
-        try:
-            with self._http.stream(
-                request.method,
-                request.path,
-                headers=dict(request.headers),
-                params=dict(request.params) or None,
-                json=request.json,  # an empty object is a body
-                content=request.content,
-            ) as answer:
-                if fetch is None or not answer.is_success:
-                    answer.read()
-                    return _reply(answer)
-                headers = _headers(answer)
-                with _written(answer, fetch) as write:
-                    for chunk in answer.iter_bytes(_CHUNK):
-                        write(chunk)
-                return Reply(answer.status_code, headers, b"")
-        except httpx.RequestError as error:
-            return _broken(error, headers)
+    acquire = _now(Methods.acquire)
+    acquisition = _now(Methods.acquisition)
+    acquisitions = _now(Methods.acquisitions)
+    add_webhook = _now(Methods.add_webhook)
+    asset = _now(Methods.asset)
+    assets = _now(Methods.assets)
+    call = _now(Methods.call)
+    cancel = _now(Methods.cancel)
+    claim = _now(Methods.claim)
+    claims = _now(Methods.claims)
+    delete_webhook = _now(Methods.delete_webhook)
+    download = _now(Methods.download)
+    embed = _now(Methods.embed)
+    job = _now(Methods.job)
+    jobs = _now(Methods.jobs)
+    jws = _now(Methods.jws)
+    me = _now(Methods.me)
+    notices = _now(Methods.notices)
+    pack = _now(Methods.pack)
+    record = _now(Methods.record)
+    report = _now(Methods.report)
+    revoke_share = _now(Methods.revoke_share)
+    share = _now(Methods.share)
+    shares = _now(Methods.shares)
+    submit_embed = _now(Methods.submit_embed)
+    submit_verify = _now(Methods.submit_verify)
+    upload = _now(Methods.upload)
+    verify = _now(Methods.verify)
+    wait = _now(Methods.wait)
+    warc = _now(Methods.warc)
+    webhooks = _now(Methods.webhooks)
 
     def close(self) -> None:
         """Close its connections."""
-        self._http.close()
+        self._line.http.close()
 
     def __enter__(self) -> Self:
         return self
@@ -162,105 +182,25 @@ class Client(_Methods):
         self.close()
 
 
-class AsyncClient(_Methods):
-    """As `Client`, each method awaited, in an `async with`."""
-
-    def __init__(
-        self,
-        address: str,
-        api_key: str,
-        *,
-        patience: float = PATIENCE_SECONDS,
-        transport: httpx.AsyncBaseTransport | None = None,
-    ) -> None:
-        self.patience = patience
-        self._http = httpx.AsyncClient(
-            base_url=address, headers=_authorization(api_key), timeout=TIMEOUT_SECONDS, transport=transport
-        )
-
-    async def run(self, flow: Flow[T]) -> T:
-        """Do a flow; disk and processor are kept busy in a thread."""
-        with closing(patient(flow, self.patience)) as steps:
-            got: Any = None
-            while True:
-                try:
-                    action = steps.send(got)
-                except StopIteration as end:
-                    result: T = end.value
-                    return result
-                got = None
-                if isinstance(action, Pause):
-                    await asyncio.sleep(action.seconds)
-                elif isinstance(action, Work):
-                    got = await asyncio.to_thread(action.do)
-                elif isinstance(action, Fetch):
-                    got = await self._send(action.request, action)
-                else:
-                    got = await self._send(action)
-
-    async def _send(self, request: Request, fetch: Fetch | None = None) -> Reply:
-        headers: dict[str, str] = {}
-        try:
-            async with self._http.stream(
-                request.method,
-                request.path,
-                headers=dict(request.headers),
-                params=dict(request.params) or None,
-                json=request.json,  # an empty object is a body
-                content=request.content,
-            ) as answer:
-                if fetch is None or not answer.is_success:
-                    await answer.aread()
-                    return _reply(answer)
-                headers = _headers(answer)
-                with _written(answer, fetch) as write:
-                    async for chunk in answer.aiter_bytes(_CHUNK):
-                        await asyncio.to_thread(write, chunk)
-                return Reply(answer.status_code, headers, b"")
-        except httpx.RequestError as error:
-            return _broken(error, headers)
-
-    async def close(self) -> None:
-        """Close its connections."""
-        await self._http.aclose()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        await self.close()
-
-
 def _authorization(api_key: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {api_key}"}
+
+
+def _arguments(request: Request) -> dict[str, Any]:
+    """Of httpx."""
+    return {
+        "method": request.method,
+        "url": request.path,
+        "headers": dict(request.headers),
+        "params": dict(request.params) or None,
+        "json": request.json,  # an empty object is a body
+        "content": request.content,
+    }
 
 
 def _headers(answer: httpx.Response) -> dict[str, str]:
     return {name.lower(): value for name, value in answer.headers.items()}
 
 
-def _reply(answer: httpx.Response) -> Reply:
-    return Reply(answer.status_code, _headers(answer), answer.content)
-
-
-def _broken(error: Exception, headers: dict[str, str] | None = None) -> Reply:
-    return Reply(0, headers or {}, f"{type(error).__name__}: {error}".encode())
-
-
-@contextmanager
-def _written(answer: httpx.Response, fetch: Fetch) -> Iterator[Callable[[bytes], None]]:
-    """Where chunks of an answer go: behind what is in the file if they are a part, in its place otherwise."""
-    file: BinaryIO = fetch.file
-    if answer.status_code != httpx.codes.PARTIAL_CONTENT:
-        file.seek(0)
-        file.truncate()
-    announced = answer.headers.get("content-length", "")
-    whole = file.tell() + (int(announced) if announced.isdigit() else 0)
-    yield partial(_write, file, whole, fetch.progress)
-
-
-def _write(file: BinaryIO, whole: int, progress: Progress, chunk: bytes) -> None:
-    file.write(chunk)
-    progress("download", min(1.0, file.tell() / whole) if whole else 0.0)
+def _broken(error: Exception, headers: dict[str, str]) -> Reply:
+    return Reply(0, headers, f"{type(error).__name__}: {error}".encode())

@@ -1,12 +1,8 @@
-"""The actions of a driver as values, and which requests are sent again. No input or output here.
-
-A *flow* is a generator: it yields actions, gets the outcome of each, and returns its result. The two drivers
-(`clients.py`) differ only in how they do an action.
-"""
+"""Requests and answers as values, and which requests are sent again. No input or output here: that is the clients'."""
 
 import random
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
@@ -22,7 +18,7 @@ Progress = Callable[[str, float], object]
 Params = Mapping[str, str | Sequence[str]]
 """Of an address; one of several values is there several times."""
 
-REFUSED_FOR_NOW = (429, 503)
+PARTIAL_CONTENT, REFUSED_FOR_NOW = 206, (429, 503)
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
 """Seconds between tries, doubled each time, and drawn from half of that on, lest all clients come back together."""
 BREAKS = 3
@@ -42,27 +38,23 @@ class Request:
     again: bool = False  # done twice it is done once: sent again where no answer came
 
 
-@dataclass(frozen=True)
-class Fetch:
-    """A request whose answer goes to a file: to its end if it is a part (206), in place of all of it else."""
+class Sink:
+    """A file that takes the body of an answer."""
 
-    request: Request
-    file: BinaryIO
-    progress: Progress
+    def __init__(self, file: BinaryIO, progress: Progress) -> None:
+        self._file, self._progress, self._whole = file, progress, 0
 
+    def begin(self, status: int, announced: str) -> None:
+        """A part (206) goes behind what is in the file, everything else in its place; `announced`: Content-Length."""
+        if status != PARTIAL_CONTENT:
+            self._file.seek(0)
+            self._file.truncate()
+        self._whole = self._file.tell() + (int(announced) if announced.isdigit() else 0)
 
-@dataclass(frozen=True)
-class Pause:
-    """Seconds in which nothing is done."""
-
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Work:
-    """Work of a disk or a processor, not of the network."""
-
-    do: Callable[[], Any]
+    def write(self, chunk: bytes) -> None:
+        """What came."""
+        self._file.write(chunk)
+        self._progress("download", min(1.0, self._file.tell() / self._whole) if self._whole else 0.0)
 
 
 @dataclass(frozen=True)
@@ -110,43 +102,42 @@ class Reply:
         return ServiceError("unexpected-answer", text, status=self.status, retry_after=self.retry_after())
 
 
-Action = Request | Fetch | Pause | Work
-Flow = Generator[Action, Any, T]
+class Line(ABC):
+    """What requests go over; `patience`: seconds that one which is refused for now is repeated, 0 for never."""
 
+    patience: float
 
-def patient(flow: Flow[T], patience: float) -> Flow[T]:
-    """The flow, whose requests are sent again after 429 and 503, and after no answer where that is harmless.
+    @abstractmethod
+    async def _exchange(self, request: Request, sink: Sink | None) -> Reply:
+        """Send a request once; with a `sink`, the body of a good answer goes there."""
 
-    Waits for as long as Retry-After says, and no longer than `patience` seconds for one request: then the flow is
-    handed the answer as it is. Every other status is an answer.
-    """
-    with closing(flow):
-        got: Any = None
+    @abstractmethod
+    async def _pause(self, seconds: float) -> None:
+        """Do nothing for a while."""
+
+    @abstractmethod
+    async def _work(self, do: Callable[[], T]) -> T:
+        """The result of work of a disk or a processor, not of the network."""
+
+    async def _send(self, request: Request, sink: Sink | None = None) -> Reply:
+        """The answer to a request, sent again after 429 and 503, and after no answer where that is harmless.
+
+        Waits for as long as Retry-After says, and no longer than `patience`: then the answer is what it is. Every other
+        status is an answer.
+        """
+        waited, backoff = 0.0, FIRST_PAUSE
         while True:
-            try:
-                action = flow.send(got)
-            except StopIteration as end:
-                result: T = end.value
-                return result
-            got = yield action
-            waited, backoff = 0.0, FIRST_PAUSE
-            while isinstance(got, Reply) and _worth_another(action, got):
-                seconds = max(backoff * random.uniform(0.5, 1.0), got.retry_after() or 0.0)
-                if waited + seconds > patience:
-                    break
-                yield Pause(seconds)
-                waited, backoff = waited + seconds, min(2 * backoff, LONGEST_PAUSE)
-                got = yield action
+            reply = await self._exchange(request, sink)
+            seconds = max(backoff * random.uniform(0.5, 1.0), reply.retry_after() or 0.0)
+            unanswered = reply.status == 0 and request.again
+            if not (unanswered or reply.status in REFUSED_FOR_NOW) or waited + seconds > self.patience:
+                return reply
+            await self._pause(seconds)
+            waited, backoff = waited + seconds, min(2 * backoff, LONGEST_PAUSE)
 
-
-def _worth_another(action: Action, reply: Reply) -> bool:
-    unanswered = reply.status == 0 and isinstance(action, Request) and action.again
-    return unanswered or reply.status in REFUSED_FOR_NOW
-
-
-def ask(request: Request) -> Flow[Reply]:
-    """The answer to a request; ServiceError for a bad one."""
-    reply: Reply = yield request
-    if not reply.good:
-        raise reply.error()
-    return reply
+    async def _ask(self, request: Request) -> Reply:
+        """The answer to a request; ServiceError for a bad one."""
+        reply = await self._send(request)
+        if not reply.good:
+            raise reply.error()
+        return reply

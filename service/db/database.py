@@ -14,7 +14,7 @@ from sqlalchemy import event
 from sqlalchemy.exc import DBAPIError
 
 from engine.errors import InputError
-from service.db.schema import metadata
+from service.db.schema import facts, metadata
 from service.problems import Problem
 
 if TYPE_CHECKING:
@@ -174,6 +174,11 @@ def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:
 def missing(table: sa.Table, row_id: str) -> Problem:
     """The error for a row that does not exist, or is not visible."""
     return Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
+
+
+def fact(connection: sa.Connection, name: str) -> str | None:
+    """What holds for this database as a whole, by its name; None where it was never set."""
+    return connection.execute(sa.select(facts.c.value).where(facts.c.name == name)).scalar_one_or_none()
 
 
 def page(

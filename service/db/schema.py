@@ -6,102 +6,105 @@ from sqlalchemy import BigInteger, Boolean, Column, Float, Integer, LargeBinary,
 metadata = sa.MetaData()
 
 
-def _key(*names: str) -> list[sa.Column[str]]:
+def key(*names: str) -> list[sa.Column[str]]:
+    """Columns of a primary key."""
     return [Column(name, Text, primary_key=True) for name in names]
 
 
-def _texts(*names: str, null: bool = False, index: bool = False) -> list[sa.Column[str]]:
+def texts(*names: str, null: bool = False, index: bool = False) -> list[sa.Column[str]]:
+    """Columns of text."""
     return [Column(name, Text, nullable=null, index=index) for name in names]
 
 
-def _number(name: str, default: int | None = 0) -> sa.Column[int]:
+def number(name: str, default: int | None = 0) -> sa.Column[int]:
+    """A column of whole numbers; without a `default` it may be NULL."""
     return Column(name, BigInteger, nullable=default is None, default=default)
 
 
 # What holds for this database as a whole.
-facts = Table("facts", metadata, *_key("name"), *_texts("value"))
+facts = Table("facts", metadata, *key("name"), *texts("value"))
 
 api_keys = Table(
     "api_keys",
     metadata,
-    *_key("id"),  # public part of the key
-    *_texts("tenant", index=True),
-    *_texts("digest", "scopes", "label", "created_at"),  # keyed HMAC-SHA256 of the secret part, hex; space-separated
-    *_texts("revoked_at", null=True),
+    *key("id"),  # public part of the key
+    *texts("tenant", index=True),
+    *texts("digest", "scopes", "label", "created_at"),  # keyed HMAC-SHA256 of the secret part, hex; space-separated
+    *texts("revoked_at", null=True),
 )
 
-tenants = Table("tenants", metadata, *_key("id"), *_texts("name"))  # what people call them; others have their id
+tenants = Table("tenants", metadata, *key("id"), *texts("name"))  # what people call them; others have their id
 
 owner_keys = Table(
     "owner_keys",
     metadata,
-    *_key("id"),
-    *_texts("tenant", index=True),
-    *_texts("fingerprint", "label"),
-    _number("version", 1),  # of the master key that sealed it
+    *key("id"),
+    *texts("tenant", index=True),
+    *texts("fingerprint", "label"),
+    number("version", 1),  # of the master key that sealed it
     Column("sealed", LargeBinary, nullable=True),  # NULL once deleted
-    *_texts("created_at"),
-    *_texts("deleted_at", null=True),
+    *texts("created_at"),
+    *texts("deleted_at", null=True),
 )
 
 uploads = Table(
     "uploads",
     metadata,
-    *_key("id"),
-    *_texts("tenant", "created_at", index=True),
-    *_texts("name", "parts", "state"),  # parts: JSON list of [name, length, sha256]; state: open, complete
-    _number("size", None),  # announced, NULL if not
-    _number("received"),
-    *_texts("sha256", "info", null=True),  # announced, then measured; JSON: what the file is, once it was inspected
+    *key("id"),
+    *texts("tenant", "created_at", index=True),
+    *texts("name", "parts", "state"),  # parts: JSON list of [name, length, sha256]; state: open, complete
+    number("size", None),  # announced, NULL if not
+    number("received"),
+    *texts("sha256", "info", null=True),  # announced, then measured; JSON: what the file is, once it was inspected
     Column("api_key", Text, nullable=False, server_default=""),  # whose it is; "": made before that was kept
 )
 
 jobs = Table(
     "jobs",
     metadata,
-    *_key("id"),
-    *_texts("tenant", "state", "created_at", index=True),  # state: of `service.jobs.port.State`
-    *_texts("api_key", "kind", "request", "stage"),  # kind: embed, verify, dispute, watch; request: JSON
+    *key("id"),
+    *texts("tenant", "state", "created_at", index=True),  # state: of `service.jobs.port.State`
+    *texts("api_key", "kind", "request", "stage"),  # kind: embed, verify, dispute, watch; request: JSON
     Column("fraction", Float, nullable=False, default=0.0),
-    *_texts("result", "problem", null=True),  # JSON; the problem as in RFC 9457
-    _number("revision"),
+    *texts("result", "problem", null=True),  # JSON; the problem as in RFC 9457
+    number("revision"),
     Column("cancelling", Boolean, nullable=False, default=False),
-    *_texts("worker", "started_at", "finished_at", null=True),
-    _number("attempts"),  # begun so often; who holds an older number has lost the job
-    _number("tries"),  # of these, since its last step was done
+    *texts("worker", "started_at", "finished_at", null=True),
+    number("attempts"),  # begun so often; who holds an older number has lost the job
+    number("tries"),  # of these, since its last step was done
 )
 
 idempotency = Table(
     "idempotency",
     metadata,
-    *_key("tenant", "key"),  # key: id of the API key, and what its client drew
-    *_texts("body_hash"),
-    *_texts("job", null=True),  # or acquisition; NULL while the first request is in flight
-    *_texts("created_at", index=True),
+    *key("tenant", "key"),  # key: id of the API key, and what its client drew
+    *texts("body_hash"),
+    *texts("job", null=True),  # or acquisition; NULL while the first request is in flight
+    *texts("created_at", index=True),
 )
 
 assets = Table(
     "assets",
     metadata,
-    *_key("id"),
-    *_texts("tenant", index=True),
+    *key("id"),
+    *texts("tenant", index=True),
     Column("job", Text, nullable=False, unique=True),
-    *_texts("owner_key", "label", "copy", "record_id", "message", "profile", "report"),  # message: hex; report: JSON
-    _number("gaussians"),
-    *_texts("original_sha256", "model_sha256", index=True),
-    *_texts("original_format", "model_format", "record_sha256", "preview_sha256", "sketch_sha256", "registered_at"),
+    *texts("owner_key", "label", "copy", "record_id", "message", "profile", "report"),  # message: hex; report: JSON
+    number("gaussians"),
+    *texts("original_sha256", "model_sha256", index=True),
+    *texts("original_format", "model_format", "record_sha256", "preview_sha256", "sketch_sha256", "registered_at"),
 )
 
-conversions = Table("conversions", metadata, *_key("model_sha256", "format"), *_texts("sha256"))
+conversions = Table("conversions", metadata, *key("model_sha256", "format"), *texts("sha256"))
 
 # Signed manifests (C2PA) of delivered files: what was signed once stays to be found.
 manifests = Table(
     "manifests",
     metadata,
-    *_key("id"),  # urn:c2pa:...
-    *_texts("asset", "binding", index=True),  # binding: id of the mark's record
-    *_texts("signer", "source_sha256"),  # of the certificate chain, and of the file that was to be signed
-    *_texts("file_sha256", "sha256", "created_at"),  # of the file as it is delivered, and of the manifest store
+    *key("id"),  # urn:c2pa:...
+    *texts("asset", "binding", index=True),  # binding: id of the mark's record
+    *texts("signer", "source_sha256"),  # of the certificate chain, and of the file that was to be signed
+    *texts("file_sha256", "sha256", "created_at"),  # of the file as it is delivered, and of the manifest store
     Column("rights", Text, nullable=False, server_default=""),  # as the file states them
 )
 
@@ -109,19 +112,19 @@ manifests = Table(
 published = Table(
     "published",
     metadata,
-    *_key("asset"),
+    *key("asset"),
     Column("by_content", Boolean, nullable=False),  # whether its manifests are found by what looks alike
-    *_texts("rights"),
+    *texts("rights"),
 )
 
 claims = Table(
     "claims",
     metadata,
-    *_key("id"),
-    *_texts("tenant", index=True),
+    *key("id"),
+    *texts("tenant", index=True),
     Column("job", Text, nullable=False, unique=True),
-    *_texts("asset", null=True),
-    *_texts("document", "jws", "pictures", "created_at"),  # document: canonical JSON; pictures: JSON, name -> sha256
+    *texts("asset", null=True),
+    *texts("document", "jws", "pictures", "created_at"),  # document: canonical JSON; pictures: JSON, name -> sha256
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of the JWS
     Column("verdict", Text, nullable=False, server_default=""),  # as the document has it: for lists
     Column("names", Text, nullable=False, server_default=""),  # of the suspect's files, one per line; not signed
@@ -131,30 +134,30 @@ claims = Table(
 notices = Table(
     "notices",
     metadata,
-    *_key("id"),
-    *_texts("tenant", index=True),
-    *_texts("asset", "upload", "finding", "created_at"),  # upload: what it became; finding: JSON, of `marks`
+    *key("id"),
+    *texts("tenant", index=True),
+    *texts("asset", "upload", "finding", "created_at"),  # upload: what it became; finding: JSON, of `marks`
 )
 
 # Time stamps from which a part of a record's plan follows: the same for all copies of an asset, so kept for good.
 draws = Table(
     "draws",
     metadata,
-    *_key("request"),  # SHA-256 of what was stamped, hex
+    *key("request"),  # SHA-256 of what was stamped, hex
     Column("token", LargeBinary, nullable=False),
-    *_texts("created_at"),
+    *texts("created_at"),
 )
 
 # Suspects as they were found; what a claim names of one is in the log.
 acquisitions = Table(
     "acquisitions",
     metadata,
-    *_key("id"),
-    *_texts("tenant", index=True),
-    *_texts("api_key", "at", "payload_sha256", "warc_sha256", "created_at"),
-    *_texts("url", "upload", null=True),  # url: NULL of an uploaded file; upload: NULL of no suspect
-    _number("bytes"),
-    _number("warc_bytes"),
+    *key("id"),
+    *texts("tenant", index=True),
+    *texts("api_key", "at", "payload_sha256", "warc_sha256", "created_at"),
+    *texts("url", "upload", null=True),  # url: NULL of an uploaded file; upload: NULL of no suspect
+    number("bytes"),
+    number("warc_bytes"),
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of `trust.commitments.acquisition_facts`
 )
 
@@ -162,11 +165,11 @@ acquisitions = Table(
 shares = Table(
     "shares",
     metadata,
-    *_key("id"),
-    *_texts("tenant"),
-    *_texts("claim", index=True),
+    *key("id"),
+    *texts("tenant"),
+    *texts("claim", index=True),
     Column("digest", Text, nullable=False, unique=True),  # SHA-256 of the token in the address, hex
-    *_texts("created_at", "expires_at"),
+    *texts("created_at", "expires_at"),
 )
 
 # Payloads are canonical JSON: digests, never secrets. The hash is of the previous hash and this row, hex.
@@ -174,9 +177,9 @@ audit = Table(
     "audit",
     metadata,
     Column("index", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False),
-    *_texts("at", "tenant"),
-    *_texts("event", "subject", index=True),  # what happened, and the id of what it happened to
-    *_texts("payload", "hash"),
+    *texts("at", "tenant"),
+    *texts("event", "subject", index=True),  # what happened, and the id of what it happened to
+    *texts("payload", "hash"),
 )
 
 # Perfect subtrees of the Merkle tree (RFC 6962).
@@ -185,24 +188,24 @@ audit_nodes = Table(
     metadata,
     Column("level", Integer, primary_key=True, autoincrement=False),
     Column("position", BigInteger, primary_key=True, autoincrement=False),
-    *_texts("hash"),
+    *texts("hash"),
 )
 
 signing_keys = Table(
     "signing_keys",
     metadata,
-    *_key("kid"),
-    *_texts("public", "created_at"),  # public: JWK
+    *key("kid"),
+    *texts("public", "created_at"),  # public: JWK
     Column("sealed", LargeBinary, nullable=False),
-    *_texts("retired_at", null=True),
+    *texts("retired_at", null=True),
 )
 
 workers = Table(
     "workers",
     metadata,
-    *_key("id"),
-    *_texts("host", "started_at"),
-    _number("pid"),
+    *key("id"),
+    *texts("host", "started_at"),
+    number("pid"),
     Column("seen_at", Float, nullable=False),  # seconds since the epoch, by the worker's clock
 )
 
@@ -212,19 +215,19 @@ ENDED, FOUND = "job.ended", "mark.found"
 webhooks = Table(
     "webhooks",
     metadata,
-    *_key("id"),
-    *_texts("tenant", index=True),
-    *_texts("url", "created_at"),
-    _number("version", 1),  # of the master key that sealed the secret
+    *key("id"),
+    *texts("tenant", index=True),
+    *texts("url", "created_at"),
+    number("version", 1),  # of the master key that sealed the secret
     Column("sealed", LargeBinary, nullable=False),
-    *_texts("last_at", "last_outcome", null=True),  # of the last try
-    _number("last_status", None),  # HTTP, NULL where no answer came
+    *texts("last_at", "last_outcome", null=True),  # of the last try
+    number("last_status", None),  # HTTP, NULL where no answer came
     Column("events", Text, nullable=False, server_default=ENDED),  # space-separated
 )
 
 # Pending messages of webhooks: written by the transaction that ends a job, or that gives notice (`job` is its id then);
 # gone once delivered or given up.
-deliveries = Table("deliveries", metadata, *_key("webhook", "job"), *_texts("due_at", index=True), _number("tries"))
+deliveries = Table("deliveries", metadata, *key("webhook", "job"), *texts("due_at", index=True), number("tries"))
 
 # How much of a budget a subject has used in the part of its span that begins at `window`.
-usage = Table("usage", metadata, *_key("subject", "window"), _number("count"))
+usage = Table("usage", metadata, *key("subject", "window"), number("count"))

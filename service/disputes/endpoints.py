@@ -19,6 +19,7 @@ from service.db.schema import assets, jobs
 from service.http.access import Core, Disputer, Party
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
+from service.http.file_responses import PAGE
 from service.http.forms import RequestBody
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.results import DisputeResult
@@ -72,13 +73,7 @@ def get_dispute(dispute_id: str, core: Core, caller: Party) -> Settled:
 
 
 @router.get(
-    "/{dispute_id}/report",
-    operation_id="getDisputeReport",
-    response_class=Response,
-    responses={
-        200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
-        **OF_OWN,
-    },
+    "/{dispute_id}/report", operation_id="getDisputeReport", response_class=Response, responses={**PAGE, **OF_OWN}
 )
 def get_dispute_report(dispute_id: str, core: Core, caller: Party) -> Response:
     """The dispute as one page to read, print and send."""
@@ -124,32 +119,22 @@ def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
     """
     if pair[0] == pair[1]:
         raise Problem("conflict", "a dispute is about two assets")
-    owners = _owners(service, pair)
+    owners = service.db.query(sa.select(assets.c.tenant).where(assets.c.id.in_(pair))).scalars().all()
     if OPERATOR in caller.scopes:
         if len(owners) < 2:
             raise Problem("not-found", "there are no two such assets")
         return
-    if caller.tenant not in owners.values():
+    if caller.tenant not in owners:
         raise Problem("not-found", "neither asset is yours")
     with service.db.exclusive() as connection:
-        _consent(connection, caller.tenant, pair)
-        tenants = set(owners.values()) if len(owners) == 2 else {caller.tenant, None}
+        if not _has_consented(connection, caller.tenant, pair):
+            payload = {"assets": sorted(pair)}
+            audit.append(connection, caller.tenant, CONSENTED, payload, _subject(caller.tenant, pair))
+        tenants = set(owners) if len(owners) == 2 else {caller.tenant, None}
         waiting = [each for each in tenants if each is None or not _has_consented(connection, each, pair)]
     if waiting:
         text = "your consent is noted; the dispute begins when the owner of the other asset asks for it, too"
         raise Problem("conflict", text)
-
-
-def _owners(service: Service, pair: tuple[str, str]) -> dict[str, str]:
-    """Tenant of each of the assets that exist."""
-    rows = service.db.query(sa.select(assets.c.id, assets.c.tenant).where(assets.c.id.in_(pair))).all()
-    return {row.id: row.tenant for row in rows}
-
-
-def _consent(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> None:
-    if not _has_consented(connection, tenant, pair):
-        payload = {"assets": sorted(pair)}
-        audit.append(connection, tenant, CONSENTED, payload, _subject(tenant, pair))
 
 
 def _has_consented(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> bool:

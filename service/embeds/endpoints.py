@@ -1,4 +1,4 @@
-"""POST /v1/embed: mark a model."""
+"""POST /v1/embed: mark a model; /v1/notices: uploads of other accounts in which a mark of this tenant was found."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ import asyncio
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Request, Response
+import sqlalchemy as sa
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, model_validator
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
-from service.http.access import Core, Embedder
+from service.db import page, schema
+from service.http.access import NO_ZERO, After, Core, Embedder, Limit, Listed, Reader
 from service.http.budgets import spend
+from service.http.error_responses import OF_LIST
 from service.http.forms import WHOLE, Files, RequestBody, form_schema, read_form
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
+from service.http.results import Notice, notice_of
 from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
@@ -23,6 +27,7 @@ from service.uploads.ingest import gather
 from service.uploads.store import check_quota
 
 router = APIRouter(prefix="/v1", tags=["embed"])
+notices = APIRouter(prefix="/v1/notices", tags=["notices"])
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
 
 
@@ -150,6 +155,25 @@ def _usual_key(core: Service, tenant: str) -> str:
     keys = list_keys(core.db, tenant)
     if len(keys) > 1:
         raise Problem("invalid-request", "body.key_id: this tenant has several owner keys: name one")
-    if not keys:
-        return store(core.db, core.master, tenant, OwnerKey.generate(), "made by the first embed").id
-    return keys[0].id
+    (key,) = keys or [store(core.db, core.master, tenant, OwnerKey.generate(), "made by the first embed")]
+    return str(key.id)
+
+
+class NoticeList(Listed[Notice]):
+    """A page of notices, newest first."""
+
+
+@notices.get("", operation_id="listNotices", responses=OF_LIST)
+def list_notices(
+    core: Core,
+    caller: Reader,
+    limit: Limit = 20,
+    after: After = "",
+    asset: Annotated[str, Query(max_length=64, pattern=NO_ZERO, description="About the asset of this id.")] = "",
+) -> NoticeList:
+    """Uploads of other accounts that carry a mark of yours, newest first. The uploader is neither notified nor named;
+    the operator of the service can start a dispute between the two assets."""
+    where = schema.notices.c.asset == asset if asset else sa.true()
+    with core.db.read() as connection:
+        rows, following = page(connection, schema.notices, caller.tenant, limit, after, where=where)
+    return NoticeList(items=[notice_of(row) for row in rows], next=following)

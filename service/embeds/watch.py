@@ -8,14 +8,14 @@ into the audit log, whose size every claim shows.
 import json
 from itertools import groupby
 from random import SystemRandom
-from typing import Any
 
 import sqlalchemy as sa
 
 from service.clock import ago, now
 from service.core import Service
-from service.db.schema import FOUND, assets, deliveries, notices, webhooks
+from service.db.schema import FOUND, assets, notices
 from service.embeds.screening import carried, choose, resembling
+from service.jobs.durable_jobs import announce
 from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
 
@@ -50,7 +50,8 @@ def _notify(service: Service, run: Run) -> Ending:
     found = {each["asset"]: each for each in run.results["watch"]["carries"]}
     with service.db.write() as connection:
         rows = connection.execute(sa.select(assets).where(assets.c.id.in_(found))).all()
-        rows = sorted(rows, key=lambda row: (row.tenant, row.original_sha256, -_worth(found[row.id])))
+        # Of an original's copies, one that is named by itself counts most.
+        rows = sorted(rows, key=lambda row: (row.tenant, row.original_sha256, -(found[row.id].get("copy_z") or 0.0)))
         notified = [next(copies) for _, copies in groupby(rows, key=lambda row: (row.tenant, row.original_sha256))]
         for number, row in enumerate(notified):
             notice = f"no_{run.job.request['asset'].removeprefix('as_')}_{number}"
@@ -58,12 +59,5 @@ def _notify(service: Service, run: Run) -> Ending:
                 values = {"id": notice, "tenant": row.tenant, "asset": row.id, "created_at": now()}
                 values |= {"upload": run.job.request["asset"], "finding": json.dumps(found[row.id])}
                 connection.execute(notices.insert().values(values))
-                due = sa.select(webhooks.c.id, sa.literal(notice), sa.literal(now()), sa.literal(0))
-                due = due.where(webhooks.c.tenant == row.tenant, webhooks.c.events.contains(FOUND))
-                connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], due))
+                announce(connection, FOUND, row.tenant, notice)
     return {"state": State.SUCCEEDED, "result": {"notices": len(notified)}}
-
-
-def _worth(found: Any) -> float:
-    """A copy that is named by itself counts most."""
-    return float(found.get("copy_z") or 0.0)

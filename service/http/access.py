@@ -10,7 +10,6 @@ from pydantic import BaseModel
 
 from service.core import Service
 from service.db import missing, own, page
-from service.db.schema import jobs
 from service.problems import Problem
 from service.trust.api_keys import OPERATOR, Caller, check
 
@@ -69,11 +68,11 @@ Party = Annotated[Caller, Depends(may("read", OPERATOR))]
 
 
 def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
-    """The row of a job, or of its result, if a `Follower` may see it; not-found otherwise."""
+    """The row of a job, of its result or of an acquisition, if a caller without `read` requested it; else not-found."""
     row = own(core.db, table, caller.tenant, row_id)
     if not caller.may("read"):
-        job = core.jobs.get(caller.tenant, row.id if table is jobs else row.job)
-        if job is None or job.api_key != caller.key_id:
+        asked = row if "api_key" in table.c else core.jobs.get(caller.tenant, row.job)
+        if asked is None or asked.api_key != caller.key_id:
             raise missing(table, row_id)
     return row
 

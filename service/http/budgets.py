@@ -4,6 +4,7 @@ from datetime import UTC, datetime, timedelta
 
 import sqlalchemy as sa
 
+from service.core import Service
 from service.db import Database
 from service.db.schema import usage
 from service.problems import Problem
@@ -35,6 +36,13 @@ def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None
         more = sa.update(usage).where(here).values(count=usage.c.count + 1)
         if connection.execute(more).rowcount == 0:
             connection.execute(sa.insert(usage).values(subject=subject, window=_name(present), count=1))
+
+
+def spend_subject(service: Service, tenant: str, original: str, what: str) -> None:
+    """Count one question about what derives from an original: all such suspects are near duplicates, and a detector
+    queried often enough with slight changes of one model tells how to remove its mark. All copies of one original share
+    the layer that is read, and so a budget."""
+    spend(service.db, f"subject:{tenant}:{original}", service.settings.subject_verifies_per_day, 24, what)
 
 
 def forget(db: Database) -> None:

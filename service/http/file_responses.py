@@ -1,7 +1,7 @@
 """Files to clients: with Range and ETag, from the local folder or the store alike."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,6 +15,7 @@ from service.http.error_responses import Responses, responses
 from service.problems import Problem
 
 MODEL_TYPE = "application/octet-stream"
+TEXT, BINARY = {"schema": {"type": "string"}}, {"schema": {"type": "string", "format": "binary"}}
 _CHUNK = 4 << 20
 
 
@@ -90,12 +91,19 @@ def _one_range(text: str, size: int) -> tuple[int, int] | None:
     return (first, last) if first <= last else None
 
 
+def one_file(media_type: str, description: str, schema: Mapping[str, object] = BINARY) -> Responses:
+    """OpenAPI of an answer that is a file."""
+    return {200: {"content": {media_type: schema}, "description": description}}
+
+
+PAGE = one_file("text/html", "One page, all in it", TEXT)
+
+
 def file_responses(media_type: str, *also: str) -> Responses:
     """OpenAPI of a file of one's own, whole or in part, and of the problems instead of it."""
-    content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
     return {
-        200: {"description": "The file", "content": content},
-        206: {"description": "The range requested by Range", "content": content},
+        **one_file(media_type, "The file"),
+        206: {"description": "The range requested by Range", "content": {media_type: BINARY}},
         304: {"description": "Not modified (If-None-Match)"},
         **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", *also),
     }

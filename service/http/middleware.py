@@ -44,7 +44,8 @@ class SafeHeaders:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        scope = {**scope, "request_id": secrets.token_hex(8), "head": _is_head(scope)}
+        head = scope["method"] == "HEAD" and not scope["path"].endswith("/events")  # a stream has no headers of its own
+        scope = {**scope, "request_id": secrets.token_hex(8), "head": head}
         if scope["head"]:
             scope["method"] = "GET"
 
@@ -63,10 +64,6 @@ class SafeHeaders:
             await send(message)
 
         await self.app(scope, receive, tell)
-
-
-def _is_head(scope: Scope) -> bool:
-    return scope["method"] == "HEAD" and not scope["path"].endswith("/events")  # a stream has no headers of its own
 
 
 class BodyGuard:

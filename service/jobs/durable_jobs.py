@@ -6,7 +6,7 @@ cost. So is a job's end, since its transaction writes the messages to webhooks. 
 statement; a final job never changes.
 
 What DBOS does not offer, and is therefore here: turns of tenants (it dequeues the partitions of a queue in random
-order, so a job would have no place in the queue), and finding workers that died (`presence`). On SQLite the two have a
+order, so a job would have no place in the queue), and finding workers that died (`Presence`). On SQLite the two have a
 file each, so a job can be in one and not yet in the other: `reconcile` mends that.
 """
 
@@ -14,8 +14,11 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import socket
 import sqlite3
 import threading
+import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
@@ -27,9 +30,8 @@ from sqlalchemy.exc import IntegrityError
 from service.clock import ago, now, seconds_until
 from service.db import Database, page
 from service.db.database import POSTGRES_CONNECT
-from service.db.schema import ENDED, deliveries, jobs, webhooks
+from service.db.schema import ENDED, deliveries, jobs, webhooks, workers
 from service.jobs.port import FINAL, Job, State
-from service.jobs.presence import Presence
 from service.problems import Problem
 
 if TYPE_CHECKING:
@@ -47,6 +49,9 @@ _SETTLED_HOURS = 5 / 3600
 
 _PAGE = 500
 
+LEFT = 0.0
+"""`seen_at` of a worker that shut down: its jobs can be taken over at once."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -55,6 +60,57 @@ _QUEUED = jobs.c.state == State.QUEUED.value
 _RUNNING = jobs.c.state == State.RUNNING.value
 _ORDER = (jobs.c.created_at, jobs.c.id)
 _CHANGED: dict[str, object] = {"revision": jobs.c.revision + 1}
+
+
+class Presence:
+    """Which workers are alive: each writes a row every few seconds, and each watches the others' rows.
+
+    DBOS recovers the jobs of an executor when a process starts under that executor's name. That another one died is
+    noticed by its hosted console alone.
+
+    Silence is measured by the clock of the process that watches: clocks of several machines are never compared, and a
+    time in which the database did not answer counts for no worker.
+    """
+
+    def __init__(self, db: Database) -> None:
+        self._db = db
+        self._since: dict[str, tuple[float | None, float]] = {}  # last sign of life, and when it was first seen here
+
+    def beat(self, worker: str) -> None:
+        """Report that this worker is alive."""
+        row = {"host": socket.gethostname(), "pid": os.getpid(), "seen_at": time.time()}
+        with self._db.write() as connection:
+            if not connection.execute(sa.update(workers).where(workers.c.id == worker).values(row)).rowcount:
+                connection.execute(workers.insert().values(row | {"id": worker, "started_at": now()}))
+
+    def leave(self, worker: str) -> None:
+        """Report that this worker shuts down."""
+        self._db.change(sa.update(workers).where(workers.c.id == worker).values(seen_at=LEFT))
+
+    def silent(self, owners: Collection[str], seconds: float) -> list[str]:
+        """Workers that left, or whose row has not changed for that long; owners of jobs without a row count as well."""
+        signs: dict[str, float | None] = dict.fromkeys(owners)
+        signs |= {row.id: row.seen_at for row in self._db.query(sa.select(workers))}
+        moment = time.monotonic()
+        self._since = {
+            worker: old if (old := self._since.get(worker)) and old[0] == sign else (sign, moment)
+            for worker, sign in signs.items()
+        }
+        return [worker for worker, (sign, since) in self._since.items() if sign == LEFT or moment - since >= seconds]
+
+    def start_over(self) -> None:
+        """Forget the silence seen so far: the database did not answer for a while."""
+        self._since.clear()
+
+    def strike_off(self, worker: str) -> bool:
+        """Delete the row of a worker that `silent` named; False where it gave a sign of life since, or another process
+        was first."""
+        sign = self._since[worker][0]
+        if sign is None:
+            return True
+        with self._db.write() as connection:
+            this = (workers.c.id == worker) & (workers.c.seen_at == sign)
+            return connection.execute(sa.delete(workers).where(this)).rowcount > 0
 
 
 class DurableJobs:
@@ -141,7 +197,8 @@ class DurableJobs:
         with self._db.write() as connection:
             this = (jobs.c.id == job_id) & _OPEN
             if connection.execute(sa.update(jobs).where(this).values(ended | _CHANGED)).rowcount:
-                _announce(connection, job_id)
+                tenant = sa.select(jobs.c.tenant).where(jobs.c.id == job_id).scalar_subquery()
+                announce(connection, ENDED, tenant, job_id)
 
     def settled(self, job: Job) -> None:
         """A step of a job, as it was begun, is done: what is tried next is another."""
@@ -184,7 +241,7 @@ class DurableJobs:
         ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
         with self._db.write() as connection:
             if connection.execute(sa.update(jobs).where(queued).values(ended | _CHANGED)).rowcount:
-                _announce(connection, job_id)
+                announce(connection, ENDED, tenant, job_id)
             connection.execute(sa.update(jobs).where(running).values({"cancelling": True} | _CHANGED))
         job = self.get(tenant, job_id)
         if job is not None and job.state == State.CANCELLED and not job.started_at:
@@ -225,7 +282,11 @@ class DurableJobs:
 
     def reconcile(self) -> None:
         """Repair after a crash between two databases: jobs never enqueued, and jobs that ended without saying so."""
-        waiting = self._due_before(ago(_SETTLED_HOURS))
+        turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
+        known = sa.select(jobs.c.id, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
+        due = (known.c.state == State.RUNNING.value) | (known.c.turn == 1)  # at work, or the next of its tenant
+        settled = known.c.created_at < ago(_SETTLED_HOURS)
+        waiting = self._db.query(sa.select(known.c.id).where(due & settled)).scalars().all()
         for start in range(0, len(waiting), _PAGE):
             ids = waiting[start : start + _PAGE]
             found = self.client().list_workflows(workflow_ids=list(ids), load_input=False, load_output=False)
@@ -239,8 +300,10 @@ class DurableJobs:
                     self.result(job_id, State.FAILED, problem.to_json())
 
     def prune(self, hours: float) -> int:
-        """Forget jobs that ended so long ago, here and in the engine's tables; how many."""
-        old = self._ended_before(ago(hours))
+        """Forget jobs that ended so long ago, here and in the engine's tables; how many. A dispute's finding is in its
+        row: these stay."""
+        ended = sa.not_(_OPEN) & (jobs.c.finished_at < ago(hours)) & (jobs.c.kind != "dispute")
+        old = self._db.query(sa.select(jobs.c.id).where(ended)).scalars().all()
         for start in range(0, len(old), _PAGE):
             ids = list(old[start : start + _PAGE])
             self.client().delete_workflows(ids)
@@ -274,18 +337,6 @@ class DurableJobs:
                     retry_connection_errors=False,  # a request does not wait for a dead database
                 )
             return self._opened
-
-    def _due_before(self, time: str) -> Sequence[str]:
-        """Ids of jobs that were submitted before that time and are at work, or the next of their tenant."""
-        turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
-        known = sa.select(jobs.c.id, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
-        due = (known.c.created_at < time) & ((known.c.state == State.RUNNING.value) | (known.c.turn == 1))
-        return self._db.query(sa.select(known.c.id).where(due)).scalars().all()
-
-    def _ended_before(self, time: str) -> Sequence[str]:
-        """Ids of jobs that ended before that time. A dispute's finding is in its row: these stay."""
-        old = sa.not_(_OPEN) & (jobs.c.finished_at < time) & (jobs.c.kind != "dispute")
-        return self._db.query(sa.select(jobs.c.id).where(old)).scalars().all()
 
     def _advance(self, tenant: str) -> None:
         """Keep the tenant's oldest job in the queue; the fewer of its jobs are at work, the further in front."""
@@ -346,11 +397,10 @@ def _with_limits(url: str) -> str:
     return address.update_query_dict(limits).render_as_string(hide_password=False)
 
 
-def _announce(connection: sa.Connection, job_id: str) -> None:
-    """What the end of a job, in its own transaction, adds to the messages of its tenant's webhooks."""
-    pending = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
-    pending = pending.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
-    pending = pending.where(webhooks.c.events.contains(ENDED))
+def announce(connection: sa.Connection, event: str, tenant: str | sa.ScalarSelect[str], about: str) -> None:
+    """Add a message about a job or a notice to those of the tenant's webhooks that listen to this event."""
+    pending = sa.select(webhooks.c.id, sa.literal(about), sa.literal(now()), sa.literal(0))
+    pending = pending.where(webhooks.c.tenant == tenant, webhooks.c.events.contains(event))
     connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], pending))
 
 

@@ -1,6 +1,5 @@
 """/v1/keys: owner keys, sealed; shown once, if requested on creation."""
 
-from dataclasses import asdict
 from typing import Annotated
 
 import sqlalchemy as sa
@@ -8,7 +7,6 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.watermark.keys import OwnerKey
-from service.core import Service
 from service.db import schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Listed, Reader
@@ -71,7 +69,7 @@ def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> M
     key = OwnerKey.generate() if body.key is None else owner_keys.parse_key(body.key)
     made = owner_keys.store(core.db, core.master, caller.tenant, key, body.label)
     response.headers["Cache-Control"] = "no-store"
-    return MadeKey(**asdict(made), key=key.to_text() if body.reveal else None)
+    return MadeKey.model_validate(made._asdict() | {"key": key.to_text() if body.reveal else None})
 
 
 @router.get("", operation_id="listKeys", responses=OF_LIST)
@@ -94,12 +92,8 @@ def delete_key(
     force: Annotated[bool, Query(description="Erase it even though assets are registered under it.")] = False,
 ) -> None:
     """Erase an owner key. What was marked with it can be checked again only once the key is imported again."""
-    count = _assets(core, caller.tenant, key_id)
+    mine = (assets.c.tenant == caller.tenant) & (assets.c.owner_key == key_id)
+    count = core.db.query(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one()
     if count and not force:
         raise Problem("conflict", f"{count} assets are registered under this key; without it they cannot be checked")
     owner_keys.delete(core.db, caller.tenant, key_id)
-
-
-def _assets(core: Service, tenant: str, key_id: str) -> int:
-    mine = (assets.c.tenant == tenant) & (assets.c.owner_key == key_id)
-    return int(core.db.query(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())

@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-import sqlalchemy as sa
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from engine.errors import Mark3DGSError
-from service.db import Database
+from service.db import Database, fact
 from service.db.schema import facts
 from service.problems import Problem
 from service.settings import Settings
@@ -58,7 +57,8 @@ class MasterKey:
         read it, it holds no key, or the key is not the one that sealed this database.
         """
         # Read before the file is: its maker writes the check value after it.
-        expected = _expected_check(db)
+        with db.read() as connection:
+            expected = fact(connection, CHECK)
         if settings.master_key is not None:
             source = "MARK3DGS_MASTER_KEY"
             key = cls(from_hex(settings.master_key.get_secret_value(), source))
@@ -107,7 +107,8 @@ class MasterKey:
         return b"".join((*self._retired, self._derive(f"mac {purpose}")))
 
     def _retired_keys(self, db: Database) -> list[bytes]:
-        found = db.query(sa.select(facts.c.value).where(facts.c.name == RETIRED)).scalar_one_or_none()
+        with db.read() as connection:
+            found = fact(connection, RETIRED)
         keys = self.unseal(bytes.fromhex(found), bind(RETIRED)) if found is not None else b""
         return [keys[start : start + KEY_BYTES] for start in range(0, len(keys), KEY_BYTES)]
 
@@ -121,18 +122,10 @@ def bind(purpose: str, *parts: str | int) -> bytes:
     return b"".join(len(text).to_bytes(4, "big") + text for text in texts)
 
 
-def _expected_check(db: Database) -> str | None:
-    with db.read() as connection:
-        query = sa.select(facts.c.value).where(facts.c.name == CHECK)
-        found: str | None = connection.execute(query).scalar_one_or_none()
-    return found
-
-
 def _agree_on_check(db: Database, mine: str) -> str:
     """The check value that stands in the database: this one, unless another process was first."""
     with db.exclusive() as connection:
-        query = sa.select(facts.c.value).where(facts.c.name == CHECK)
-        standing: str | None = connection.execute(query).scalar_one_or_none()
+        standing = fact(connection, CHECK)
         if standing is None:
             connection.execute(facts.insert().values(name=CHECK, value=mine))
     return standing or mine
@@ -173,7 +166,8 @@ def _read_or_make(path: Path, *, may_make: bool) -> str:
                         f"{path} is missing, and this database was sealed with a master key: put the file back,"
                         " or set MARK3DGS_MASTER_KEY"
                     )
-                _make(path, folder)
+                write_key(path, secrets.token_hex(KEY_BYTES))
+                os.fsync(folder)
         finally:
             os.close(folder)
         with path.open("rb") as file:
@@ -183,11 +177,6 @@ def _read_or_make(path: Path, *, may_make: bool) -> str:
             return file.read(4 * KEY_BYTES).decode("ascii", "replace")
     except OSError as error:
         raise MasterKeyError(f"cannot read the master key {path}: {error.strerror}") from error
-
-
-def _make(path: Path, folder: int) -> None:
-    write_key(path, secrets.token_hex(KEY_BYTES))
-    os.fsync(folder)
 
 
 def write_key(path: Path, text: str) -> None:

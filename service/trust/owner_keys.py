@@ -2,7 +2,7 @@
 
 import re
 import secrets
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -22,16 +22,6 @@ MOST_TEXT = 4096
 _HEX = re.compile(r"[0-9a-fA-F\s]+", re.ASCII)
 
 
-@dataclass(frozen=True)
-class KeyInfo:
-    """Public facts of an owner key. The fingerprint is the one that records name."""
-
-    id: str
-    fingerprint: str
-    label: str
-    created_at: str
-
-
 def parse_key(text: str) -> OwnerKey:
     """An owner key from hexadecimal digits (64 or more), or from the text of a key file, which no error repeats."""
     try:
@@ -46,21 +36,20 @@ def parse_key(text: str) -> OwnerKey:
         raise Problem("invalid-request", "the key has an odd number of hexadecimal digits") from None
 
 
-def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: str = "") -> KeyInfo:
-    """Keep a key ("conflict" where the tenant has it). One that was deleted comes back under its old id, so that its
-    marks can be verified again."""
+def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: str = "") -> Any:
+    """The row of a key that is kept from now on ("conflict" where the tenant has it). One that was deleted comes back
+    under its old id, so that its marks can be verified again."""
     with db.exclusive() as connection:
         same = sa.and_(owner_keys.c.tenant == tenant, owner_keys.c.fingerprint == key.fingerprint)
         row = connection.execute(owner_keys.select().where(same)).one_or_none()
         if row is not None and row.deleted_at is None:
             raise Problem("conflict", f"this owner key is here already, as {row.id!r}")
         key_id = row.id if row is not None else secrets.token_hex(16)
-        info = KeyInfo(key_id, key.fingerprint, label, now())
         values: dict[str, object] = {
             "version": VERSION,
             "sealed": master.seal(key.secret, _bound(tenant, key_id, VERSION)),
             "label": label,
-            "created_at": info.created_at,
+            "created_at": now(),
             "deleted_at": None,
         }
         if row is not None:
@@ -69,7 +58,7 @@ def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: st
             values |= {"id": key_id, "tenant": tenant, "fingerprint": key.fingerprint}
             connection.execute(owner_keys.insert().values(values))
         audit.append(connection, tenant, "owner_key.stored", {"fingerprint": key.fingerprint}, key_id)
-    return info
+        return connection.execute(owner_keys.select().where(owner_keys.c.id == key_id)).one()
 
 
 def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> OwnerKey:
@@ -80,11 +69,10 @@ def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> Owner
     return OwnerKey(master.unseal(row.sealed, seal_of(row)))
 
 
-def list_keys(db: Database, tenant: str) -> list[KeyInfo]:
-    """Public facts of a tenant's keys, oldest first; no secrets."""
+def list_keys(db: Database, tenant: str) -> Sequence[Any]:
+    """Rows of a tenant's keys, oldest first."""
     query = owner_keys.select().where(owner_keys.c.tenant == tenant, owner_keys.c.deleted_at.is_(None))
-    rows = db.query(query.order_by(owner_keys.c.created_at, owner_keys.c.id)).all()
-    return [KeyInfo(row.id, row.fingerprint, row.label, row.created_at) for row in rows]
+    return db.query(query.order_by(owner_keys.c.created_at, owner_keys.c.id)).all()
 
 
 def delete(db: Database, tenant: str, key_id: str) -> None:

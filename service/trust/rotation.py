@@ -38,9 +38,9 @@ def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file
         if settings.master_key is None:
             write_key(new_file(path), text.strip())  # 1
         # 2
-        count = _reseal(connection, owner_keys, owner_keys.c.id, seal_of, old, new)
-        count += _reseal(connection, signing_keys, signing_keys.c.kid, private_seal, old, new)
-        count += _reseal(connection, webhooks, webhooks.c.id, secret_seal, old, new)
+        count = _reseal(connection, owner_keys, seal_of, old, new)
+        count += _reseal(connection, signing_keys, private_seal, old, new)
+        count += _reseal(connection, webhooks, secret_seal, old, new)
         retired = new.seal(old.retiring(api_keys.PURPOSE), bind(RETIRED)).hex()
         connection.execute(sa.delete(facts).where(facts.c.name.in_([CHECK, RETIRED])))
         rows = [{"name": CHECK, "value": new.check_value}, {"name": RETIRED, "value": retired}]
@@ -52,14 +52,10 @@ def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file
 
 
 def _reseal(
-    connection: sa.Connection,
-    table: sa.Table,
-    key: sa.Column[str],
-    bound: Callable[[Any], bytes],
-    old: MasterKey,
-    new: MasterKey,
+    connection: sa.Connection, table: sa.Table, bound: Callable[[Any], bytes], old: MasterKey, new: MasterKey
 ) -> int:
     """Seal a table's secrets anew; `bound` says what each row's seal is bound to."""
+    (key,) = table.primary_key
     rows = connection.execute(table.select().where(table.c.sealed.is_not(None))).all()
     for row in rows:
         sealed = new.seal(old.unseal(row.sealed, bound(row)), bound(row))

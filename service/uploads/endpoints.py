@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from service.db.schema import uploads
 from service.http.access import After, Core, Limit, Listed, Uploader
 from service.http.error_responses import OF_LIST, OF_OWN, responses
+from service.http.file_responses import BINARY
 from service.http.forms import FROM_JSON, WHOLE, RequestBody
 from service.http.results import FileInfo, Time
 from service.problems import Problem
@@ -16,7 +17,6 @@ from service.uploads import store
 from service.uploads.ingest import take
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
-BINARY = {"schema": {"type": "string", "format": "binary"}}
 OCTETS = {"requestBody": {"required": True, "content": {"application/octet-stream": BINARY}}}
 
 

@@ -20,7 +20,7 @@ from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.uploads.ingest import gather
-from service.verifications.flow import spend_subject
+from service.verifications.flow import count_asset
 
 router = APIRouter(prefix="/v1", tags=["verify"])
 MOST_RATE = 1e-6
@@ -119,7 +119,7 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
-            spend_subject(core, caller.tenant, body.asset_id)
+            count_asset(core, caller.tenant, body.asset_id)
         return {**request, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
     return submit(core, caller, "verify", retry_key, {"verify": request}, make)

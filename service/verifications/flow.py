@@ -8,7 +8,7 @@ from service.claims.issuing import issue
 from service.core import Service
 from service.db import own
 from service.db.schema import assets
-from service.http.budgets import spend
+from service.http.budgets import spend_subject
 from service.jobs.port import Ending, Flow, Run, State, Step
 from service.problems import Problem
 from service.processes import Reply
@@ -19,14 +19,10 @@ def verify_flow(service: Service) -> Flow:
     return (Step("verify", lambda run: _verify(service, run)), Step("commit", lambda run: _commit(service, run)))
 
 
-def spend_subject(service: Service, tenant: str, asset_id: str) -> None:
-    """Count one verification of a suspect that derives from an asset: all such suspects are near duplicates, and a
-    detector queried often enough with slight changes of one model tells how to remove its mark. All copies of one
-    original share the layer that is read, and so a budget."""
+def count_asset(service: Service, tenant: str, asset_id: str) -> None:
+    """Count one verification of a suspect that derives from an asset."""
     original = own(service.db, assets, tenant, asset_id).original_sha256
-    limit = service.settings.subject_verifies_per_day
-    subject = f"subject:{tenant}:{original}"
-    spend(service.db, subject, limit, 24, "verifications of suspects that derive from one original")
+    spend_subject(service, tenant, original, "verifications of suspects that derive from one original")
 
 
 def _verify(service: Service, run: Run) -> Reply:
@@ -67,5 +63,5 @@ def _commit(service: Service, run: Run) -> Ending:
     before = {"searched": {"scope": "one" if job.request["asset_id"] else "all", "assets": 1}}  # a step of version 2
     found = of_what_was_found({**before, **run.results["verify"]})
     if job.request["asset_id"] is None and found["searched"]["recognised"]:
-        spend_subject(service, job.tenant, found["asset"])
+        count_asset(service, job.tenant, found["asset"])
     return {"state": State.SUCCEEDED, "result": issue(service, job, found)}

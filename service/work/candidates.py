@@ -1,4 +1,4 @@
-"""Registered assets that a suspect may derive from, and marks that an upload carries already."""
+"""Registered assets that a suspect may derive from, marks that an upload carries already, and disputes of two."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from pathlib import Path
 from cryptography.x509 import load_pem_x509_certificates
 
 from engine.errors import MalformedRecordError
+from engine.flows.dispute.dispute import Party, settle
 from engine.flows.records.opened_record import OpenedRecord, drawn_by, earliest, open_record
 from engine.flows.trace.candidates import search
 from engine.flows.verify.search import Suspect, VerifyConfig
@@ -70,3 +71,13 @@ def find_marks(request: Request, folder: Path, progress: Progress) -> Reply:
         if each.marked
     ]
     return {"carries": carries}
+
+
+def settle_dispute(request: Request, folder: Path, progress: Progress) -> Reply:
+    """Task `dispute`: whose mark is in the other's original, of two registered assets? Contract: docs/SERVICE.md."""
+    progress("open record", 0.0)
+    parties = request["parties"]
+    opened = [candidate.open() for candidate in load_candidates({"candidates": parties})]
+    models = [load_model(each).model for each in parties]
+    a, b = (Party(*each) for each in zip(opened, models, strict=True))
+    return {"finding": settle(a, b, progress).to_json(), "files": {}}

@@ -14,7 +14,7 @@ from engine.flows.views.render_cost import is_drawable
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.present.region_maps import add_legend, draw_states
-from engine.raster import View, prepare_view, render, sh_colors
+from engine.raster import prepare_view, render, sh_colors
 
 PREVIEW_SIZE = (396, 330)
 PREVIEW_GAP = 6
@@ -71,7 +71,10 @@ def draw_evidence(
     view = prepare_view(marked, camera)
     image, alpha = view.render(sh_colors(marked.sh, marked.means, camera.position.astype(np.float32)))
     image = np.clip(image, 0.0, 1.0)
-    pictures = {"asset": to_picture(image), "heatmap": _map(regions, view, image, alpha)}
+    pictures = {
+        "asset": to_picture(image),
+        "heatmap": add_legend(draw_states(view, regions.states, image, alpha), regions),
+    }
     laid: tuple[Float32, Bool] | None = None
     if suspect.model is not None and is_drawable(suspect.model):
         seen = np.clip(_suspect_view(suspect.model, found, camera), 0.0, 1.0)
@@ -105,10 +108,6 @@ def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> 
     viewmat[:3, 3] = (turn @ transform.translation + viewmat[:3, 3]) / transform.scale
     viewmat[:3, :3] = turn @ transform.rotation
     return render(model, Camera(viewmat, camera.K, camera.width, camera.height))
-
-
-def _map(regions: RegionReport, view: View, image: Float32, alpha: Float32) -> Image.Image:
-    return add_legend(draw_states(view, regions.states, image, alpha), regions)
 
 
 def save_png(picture: Image.Image, path: Path) -> None:

@@ -20,7 +20,7 @@ def _task(module: str, name: str) -> Task:
 TASKS: Mapping[str, Task] = {
     "cameras": _task("files", "look_at_cameras"),
     "convert": _task("files", "convert"),
-    "dispute": _task("disputes", "settle_dispute"),
+    "dispute": _task("candidates", "settle_dispute"),
     "embed": _task("embedding", "embed_mark"),
     "index": _task("screening", "index"),
     "inspect": _task("files", "inspect"),
@@ -36,6 +36,6 @@ def preload(wanted: Callable[[], bool]) -> None:
     """Import what every task needs, and load its compiled kernels: a fork of this process starts at once. Those that
     are not loaded by the time that it is `wanted` are loaded as they are needed; compiling is not broken off."""
     from engine.flows.warmup.kernel_warmup import warm_up
-    from service.work import disputes, embedding, files, screening, verification  # noqa: F401
+    from service.work import candidates, embedding, files, screening, verification  # noqa: F401
 
     warm_up("everything", enough=wanted)

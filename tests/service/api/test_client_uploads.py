@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.client import Client, ServiceError, flows
+from service.client import Client, ServiceError, calls
 from service.uploads import ingest
 from tests.service.api.conftest import SMALL, Api
 
@@ -21,8 +21,8 @@ Way = Callable[[httpx.BaseTransport, httpx.Request], httpx.Response]
 @pytest.fixture(autouse=True)
 def _small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 3 * PIECE < len(DATA) < 5 * PIECE
-    monkeypatch.setattr(flows, "PIECE", PIECE)
-    monkeypatch.setattr(flows, "FIRST_PAUSE", 0.001)
+    monkeypatch.setattr(calls, "PIECE", PIECE)
+    monkeypatch.setattr(calls, "FIRST_PAUSE", 0.001)
     monkeypatch.setattr(ingest, "run_once", lambda *_: {"format": "ply", "gaussians": 1000})  # looked at elsewhere
 
 

@@ -136,7 +136,7 @@ class Slow:
 @pytest.fixture
 def slow(monkeypatch: pytest.MonkeyPatch) -> Iterator[Slow]:
     made = Slow()
-    monkeypatch.setattr(conversions, "run_once", made)
+    monkeypatch.setattr(conversions, "run_within", made)
     yield made
     made.go.set()
 

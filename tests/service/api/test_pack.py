@@ -10,14 +10,13 @@ from typing import Any
 
 import pytest
 
-from service.claims.document import Examined
 from service.claims.issuing import issue_claim
 from service.core import Service
 from service.db.schema import assets, claims
 from service.trust.api_keys import check
 from service.trust.commitments import commit_asset
 from tests.service.api.conftest import Api
-from tests.service.claims.cases import DRAWN, PICTURES, asset_row, nothing, reply
+from tests.service.claims.cases import DRAWN, PICTURES, asset_row, nothing, reply, verify_job
 
 NUMBERS = count()
 
@@ -35,15 +34,9 @@ def claim_of(service: Service, api: Api, number: int, found: dict[str, Any], nam
         row |= {"label": f"label of {number}", "report": "{}"}
         connection.execute(assets.insert().values(row))
         commit_asset(connection, row, DRAWN)
-        claim = issue_claim(
-            connection,
-            service.master,
-            tenant=tenant,
-            job=f"job_pack{number}",
-            reply=found,
-            examined=Examined(sha256=["12" * 32], names=names, pictures=kept),
-            issuer={"name": "Marks Ltd", "address": "https://marks.example"},
-        )
+        job = verify_job(f"job_pack{number}", tenant, names=names)
+        issuer = {"name": "Marks Ltd", "address": "https://marks.example"}
+        claim = issue_claim(connection, service.master, job, found | {"kept": kept}, issuer)
     return claim.id
 
 

@@ -18,6 +18,7 @@ from engine.watermark.model_evidence import Evidence
 from engine.watermark.rates import Attested, applicable_rate
 from engine.watermark.spreading import Spreading
 from service.db.schema import assets
+from service.jobs.port import Job, State
 from tests.data.draws.make_stamp import AUTHORITY, STAMP, TERMS
 
 REGIONS = {
@@ -89,6 +90,11 @@ def reply(
         ],
         "regions": REGIONS,
     } | changes
+
+
+def verify_job(job: str = "job_1", tenant: str = "acme", suspect: str = "12" * 32, **request: Any) -> Job:
+    """A job whose suspect is one model."""
+    return Job(job, tenant, "", "verify", State.RUNNING, {"model": suspect, **request})
 
 
 def nothing() -> dict[str, Any]:

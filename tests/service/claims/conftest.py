@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from service.claims.document import Examined
 from service.claims.issuing import IssuedClaim, issue_claim
 from service.db import Database
 from service.db.schema import assets
@@ -17,7 +16,7 @@ from service.settings import Settings
 from service.trust import signing
 from service.trust.commitments import commit_asset
 from service.trust.master import MasterKey
-from tests.service.claims.cases import DRAWN, PICTURES, asset_row, reply
+from tests.service.claims.cases import DRAWN, PICTURES, asset_row, reply, verify_job
 
 
 class Registry:
@@ -42,16 +41,9 @@ class Registry:
 
     def issue(self, found: dict[str, Any] | None = None, job: str = "job_1", tenant: str = "acme") -> IssuedClaim:
         with self.db.write() as connection:
+            pictures = {name: hashlib.sha256(data).hexdigest() for name, data in PICTURES.items()}
             return issue_claim(
-                connection,
-                self.master,
-                tenant=tenant,
-                job=job,
-                reply=found or reply(),
-                examined=Examined(
-                    sha256=["12" * 32],
-                    pictures={name: hashlib.sha256(data).hexdigest() for name, data in PICTURES.items()},
-                ),
+                connection, self.master, verify_job(job, tenant), (found or reply()) | {"kept": pictures}
             )
 
     def sign(self, payload: bytes) -> str:

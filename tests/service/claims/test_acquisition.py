@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from engine.records.timestamps import make_query
-from service.claims.document import Examined
 from service.claims.issuing import IssuedClaim, issue_claim
 from service.claims.offline import Check, Status, verify_report
 from service.cli.verify_report import verify_report as command
@@ -22,7 +21,7 @@ from service.trust import audit
 from service.trust.canonical import canonical, digest
 from service.trust.commitments import ACQUISITION_MADE, acquisition_facts, forget
 from tests.records.test_timestamps import Authority
-from tests.service.claims.cases import reply
+from tests.service.claims.cases import reply, verify_job
 from tests.service.claims.conftest import Registry
 
 SUSPECT = "12" * 32
@@ -47,14 +46,8 @@ def acquire(registry: Registry, **changes: Any) -> None:
 
 def issue(registry: Registry) -> IssuedClaim:
     with registry.db.write() as connection:
-        return issue_claim(
-            connection,
-            registry.master,
-            tenant="acme",
-            job="job_1",
-            reply=reply(),
-            examined=Examined(sha256=[SUSPECT], acquisition="aq_1"),
-        )
+        job = verify_job(suspect=SUSPECT, acquisition_id="aq_1")
+        return issue_claim(connection, registry.master, job, reply() | {"kept": {}})
 
 
 def checked(jws: str, registry: Registry, *certificates: Any) -> Check:

@@ -21,7 +21,7 @@ from service.http import results
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.settings import Settings
-from service.verifications.flow import spend_subject
+from service.verifications.flow import count_asset
 from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
 from tests.service.claims.conftest import Registry
 from tests.service.claims.test_searched import unrelated
@@ -123,7 +123,7 @@ def test_copies_of_one_original_share_a_budget(registry: Registry, tmp_path: Any
     registry.register(id="as_2", job="job_of_2")
     service = Service.open(Settings(data_dir=tmp_path, subject_verifies_per_day=2))
     for asset in ("as_1", "as_2"):
-        spend_subject(service, "acme", asset)
+        count_asset(service, "acme", asset)
     with pytest.raises(Problem, match="at most 2 in 24 h"):
-        spend_subject(service, "acme", "as_2")
+        count_asset(service, "acme", "as_2")
     service.close()

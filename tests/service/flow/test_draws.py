@@ -18,7 +18,7 @@ from engine.flows.embed.config import CONFIG
 from engine.flows.records.opened_record import open_record
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import DRAWS
-from service.claims.document import Examined, of_what_was_found
+from service.claims.document import of_what_was_found
 from service.claims.issuing import issue_claim
 from service.claims.offline import Status, verify_report
 from service.core import Service
@@ -35,6 +35,7 @@ from service.verifications.flow import verify_flow
 from service.work.tasks import TASKS
 from tests.records.test_timestamps import Authority, serving
 from tests.scenes import sparse_plant
+from tests.service.claims.cases import verify_job
 from tests.service.flow.commands import client_of, mark3dgs
 from tests.service.serving import start
 
@@ -89,14 +90,8 @@ class House:
     def document(self, found: dict[str, Any]) -> tuple[dict[str, Any], str]:
         """The signed claim of a reply."""
         with self.service.db.write() as connection:
-            claim = issue_claim(
-                connection,
-                self.service.master,
-                tenant="acme",
-                job=f"job_claim{self.jobs}",
-                reply=of_what_was_found(found),
-                examined=Examined(sha256=[self.model], pictures=found["kept"]),
-            )
+            job = verify_job(f"job_claim{self.jobs}", suspect=self.model)
+            claim = issue_claim(connection, self.service.master, job, of_what_was_found(found))
         return claim.document, claim.jws
 
     def _row(self, job: str) -> Any:

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from service.db import Database
-from service.jobs import presence
+from service.jobs import durable_jobs
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from service.settings import Settings
@@ -73,7 +73,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The time by which silence is measured: it passes when a test moves it."""
     made = Clock()
-    monkeypatch.setattr(presence, "time", made)
+    monkeypatch.setattr(durable_jobs, "time", made)
     monkeypatch.setattr(fake, "time", made)
     return made
 

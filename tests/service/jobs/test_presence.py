@@ -8,8 +8,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.db.schema import workers
-from service.jobs.durable_jobs import DurableJobs
-from service.jobs.presence import Presence
+from service.jobs.durable_jobs import DurableJobs, Presence
 from service.settings import Settings
 from tests.service.jobs.conftest import Clock, opened
 
@@ -83,6 +82,15 @@ def test_time_in_which_nobody_could_write_does_not_count(
             jobs.recover(10)
     assert jobs.recover(10) == []
     clock.now += 10
+    assert jobs.recover(10) == ["w"]
+
+
+def test_a_worker_does_not_judge_itself(jobs: DurableJobs, clock: Clock) -> None:
+    """Its own signs of life may wait for a lock while it reads: its job must not begin a second time beside itself."""
+    jobs.presence.beat("w")
+    assert jobs.recover(10, "w") == []
+    clock.now += 20
+    assert jobs.recover(10, "w") == []
     assert jobs.recover(10) == ["w"]
 
 

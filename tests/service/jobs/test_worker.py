@@ -120,6 +120,7 @@ def test_a_killed_workers_job_goes_on_at_its_last_finished_step(workshop: Worksh
     assert workshop.ended("a").result == {"total": 3}
     assert kinds(workshop.wrote("a")) == ["first", "second begins", "second begins", "second ends", "commit"]
     assert str(second.pid) in workshop.wrote("a")[2]
+    assert not (workshop.settings.scratch / "work" / "one").exists(), "who takes over tidies up"
 
 
 @ON_SQLITE
@@ -162,7 +163,8 @@ def test_a_worker_told_to_stop_hands_its_job_back(workshop: Workshop, tmp_path: 
     assert first.wait(5) == 0
     assert time.monotonic() - started < 5
     assert gone_within(pid, 1.0)
-    assert workshop.job("a").state == State.RUNNING
+    left = workshop.job("a")
+    assert (left.state, left.tries) == (State.RUNNING, 0), "a shut-down counts as no failed attempt"
     workshop.start("two", worker_silence_seconds=600)  # it need not wait out the silence
     assert workshop.ended("a").state == State.SUCCEEDED
     assert pid_in(tmp_path / "pid") != pid

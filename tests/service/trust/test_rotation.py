@@ -10,7 +10,7 @@ from pydantic import SecretStr
 
 from engine.watermark.keys import OwnerKey
 from service.db import Database, schema
-from service.jobs.presence import Presence
+from service.jobs.durable_jobs import Presence
 from service.problems import Problem
 from service.settings import Settings
 from service.trust import api_keys, owner_keys, rotation, signing, webhook_secrets

@@ -168,7 +168,7 @@ def test_an_end_that_cannot_be_noted_is_none(db: Database, monkeypatch: pytest.M
     def die(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("service.jobs.durable_jobs._announce", die)
+    monkeypatch.setattr("service.jobs.durable_jobs.announce", die)
     with pytest.raises(KeyboardInterrupt):
         rows.result("a", State.SUCCEEDED, {})
     with pytest.raises(KeyboardInterrupt):

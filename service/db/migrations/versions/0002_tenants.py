@@ -1,7 +1,8 @@
 """Names of tenants for people."""
 
-import sqlalchemy as sa
 from alembic import op
+
+from service.db.schema import key, texts
 
 revision = "0002"
 down_revision = "0001"
@@ -9,4 +10,4 @@ down_revision = "0001"
 
 def upgrade() -> None:
     """An empty table: a tenant without a name is called by its id."""
-    op.create_table("tenants", sa.Column("id", sa.Text, primary_key=True), sa.Column("name", sa.Text, nullable=False))
+    op.create_table("tenants", *key("id"), *texts("name"))

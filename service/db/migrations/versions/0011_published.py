@@ -3,16 +3,14 @@
 import sqlalchemy as sa
 from alembic import op
 
+from service.db.schema import key, texts
+
 revision = "0011"
 down_revision = "0010"
 
 
 def upgrade() -> None:
     """An empty table: no asset is found by its content until its owner says so. Signed files state no rights."""
-    op.create_table(
-        "published",
-        sa.Column("asset", sa.Text, primary_key=True),
-        sa.Column("by_content", sa.Boolean, nullable=False),
-        sa.Column("rights", sa.Text, nullable=False),
-    )
+    by_content = sa.Column("by_content", sa.Boolean, nullable=False)
+    op.create_table("published", *key("asset"), by_content, *texts("rights"))
     op.add_column("manifests", sa.Column("rights", sa.Text, nullable=False, server_default=""))

@@ -1,4 +1,4 @@
-"""/v1/jobs."""
+"""/v1/jobs: where a job stands, its progress as it goes, cancelling it."""
 
 import asyncio
 from collections.abc import AsyncIterable

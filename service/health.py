@@ -1,4 +1,4 @@
-"""/healthz, /readyz and /metrics."""
+"""/healthz, /readyz and /metrics: is it alive, is it ready, what does it do."""
 
 import time
 
