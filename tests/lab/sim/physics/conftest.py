@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from engine.formats import read_model
 from engine.lab.sim.physics.body import assemble
 from engine.lab.sim.physics.world import Plane, World
 from engine.model import Float64, GaussianModel
@@ -34,11 +33,6 @@ def ball() -> GaussianModel:
         rng.normal(2.0, 1.0, n).astype(np.float32),
         sh.astype(np.float32),
     )
-
-
-@pytest.fixture(scope="session")
-def plant() -> GaussianModel:
-    return read_model(DATA / "plant.splat").model
 
 
 def momentum(world: World) -> Float64:
