@@ -13,11 +13,8 @@ from fastapi.testclient import TestClient
 
 from engine.credentials.manifest import ALG, embedded_manifest
 from engine.credentials.native import parse
-from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.formats.gltf.metadata import read_metadata
-from engine.raster import render
-from engine.usecases.files import write_picture
 from service.app import make_app
 from service.core import Service
 from service.settings import Settings
@@ -25,7 +22,7 @@ from service.trust import audit
 from tests.service.api.conftest import _api
 from tests.service.api.test_credentials import trial
 from tests.service.rows import add_asset, put
-from tests.service.work.conftest import FOREIGN, Marked
+from tests.service.work.conftest import FOREIGN, Marked, shot_of
 
 OWNER, ASSET, MODEL = "owner", "as_1", {"Content-Type": "model/vnd.unknown"}
 
@@ -78,11 +75,7 @@ def cropped(marked: Marked) -> bytes:
 @pytest.fixture(scope="module")
 def shot(marked: Marked, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A JPEG of the marked model from a camera of its own."""
-    path = tmp_path_factory.mktemp("shot") / "shot.jpg"
-    model = read_model(marked.path("model")).model
-    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
-    write_picture(np.clip(render(model, camera), 0, 1), path, path, 85)
-    return path.read_bytes()
+    return shot_of(marked, tmp_path_factory.mktemp("shot")).read_bytes()
 
 
 def test_a_stripped_model_and_a_picture_find_the_manifest(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from engine.lab.sim.physics.body import assemble
-from engine.lab.sim.physics.world import Plane, World
+from engine.lab.sim.physics.body import Body, Material, assemble, make_body
+from engine.lab.sim.physics.world import Plane, World, step
 from engine.model import Float64, GaussianModel
 
-DATA = Path(__file__).parents[3] / "data"
+NOWHERE = np.zeros(3)
+UNDAMPED = Material(viscosity=0.0)
 
 
 @pytest.fixture(scope="session")
@@ -33,6 +32,21 @@ def ball() -> GaussianModel:
         rng.normal(2.0, 1.0, n).astype(np.float32),
         sh.astype(np.float32),
     )
+
+
+@pytest.fixture(scope="module")
+def body(ball: GaussianModel) -> Body:
+    return make_body(ball, resolution=5, material=UNDAMPED)
+
+
+def run(world: World, steps: int) -> World:
+    for _ in range(steps):
+        world = step(world)
+    return world
+
+
+def center(body: Body) -> Float64:
+    return np.asarray(body.masses @ body.positions / body.masses.sum())
 
 
 def momentum(world: World) -> Float64:
