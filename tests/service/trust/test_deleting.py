@@ -84,7 +84,7 @@ def test_a_whole_store_holds(filled: Database, blobs: Blobs) -> None:
 @pytest.mark.parametrize("what", [*FILES, "picture", "upload"])
 @pytest.mark.parametrize("how", ["missing", "damaged"])
 def test_a_file_that_is_missing_or_damaged_is_named(filled: Database, blobs: Blobs, what: str, how: str) -> None:
-    digest = put(blobs, what)
+    digest = put(blobs, what.encode())
     path = blobs.folder / blob_name(digest)  # type: ignore[operator]
     if how == "missing":
         path.unlink()
