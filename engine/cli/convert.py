@@ -133,7 +133,6 @@ def _format_to_write(out: Path, to: str | None) -> str:
 
 
 def _write(scene: Scene, out: Path, kind: str, metadata: Metadata) -> int:
-    """Write one file, or to standard output; returns its bytes."""
     from engine.formats.gltf.metadata import annotate_glb
     from engine.scenes.scene_files import encode_scene, write_scene
 

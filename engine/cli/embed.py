@@ -218,7 +218,6 @@ def _service(tsa: str) -> Stamp:
 
 
 def _outputs(copies: list[str], out: Path, record: Path) -> dict[str, MarkOutput]:
-    """Marked model and record of each copy."""
     from engine.usecases.mark import MarkOutput
 
     places = [COPY in str(path) for path in (out, record)]
@@ -286,7 +285,6 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
 
 
 def _spending(spent: Spent) -> str:
-    """What an allowance was spent on, for people."""
     allowed = f"{spent.allowed_db:g} dB"
     way = next((way for way in spent.ways if way.sh_degree == spent.sh_degree), None)
     if way is None:
