@@ -9,6 +9,7 @@ import hypothesis
 import pytest
 
 from engine.flows.verify.config import CONFIG
+from engine.model import GaussianModel
 
 TESTS = Path(__file__).parent
 OF_ONE_ROOM = {
@@ -129,6 +130,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     file_of = scheduling._split_scope
     scheduling._split_scope = lambda nodeid: next(filter(nodeid.startswith, TOGETHER), None) or file_of(nodeid)
     return scheduling
+
+
+@pytest.fixture(scope="session")
+def plant() -> GaussianModel:
+    """The shipped scene."""
+    from engine.formats import read_model
+
+    return read_model(TESTS / "data" / "plant.splat").model
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires, version
+from importlib.metadata import PackageNotFoundError, entry_points, requires, version
 from typing import Annotated
 
 import typer
@@ -41,8 +41,6 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
         typer.echo(f"mark3dgs {version('mark3dgs')}")
         raise typer.Exit()
 
@@ -141,7 +139,7 @@ def add_extra_commands(app: typer.Typer) -> None:
     for extra in EXTRAS:
         found = entry_points(group=f"mark3dgs.commands.{extra}")
         missing = missing_packages(extra) if found else []
-        for entry in sorted(found, key=_position):
+        for entry in sorted(found, key=lambda entry: (entry.module, entry.name)):
             if missing:
                 context = {"allow_extra_args": True, "ignore_unknown_options": True}
                 app.command(
@@ -168,10 +166,6 @@ def _installed(name: str) -> bool:
     except PackageNotFoundError:
         return False
     return True
-
-
-def _position(entry: EntryPoint) -> tuple[str, str]:
-    return (entry.module, entry.name)
 
 
 def _refusal(name: str, extra: str, missing: Sequence[str]) -> Callable[[], None]:

@@ -76,10 +76,8 @@ def attest(
         "notes": list(notes),
     }
     console.say(f"{record}: {report['attestations']} attestations, {report['added']} of them new")
-    for each in witnesses:
-        console.say(f"  registered by {each.at}, attested by {each.by}")
-    for note in notes:
-        console.say(f"  {note}")
+    console.say(*(f"  registered by {each.at}, attested by {each.by}" for each in witnesses))
+    console.say(*(f"  {note}" for note in notes))
     if query is not None:
         console.say(f"  the query about SHA-256 {report['header_sha256']} is in {query}")
     console.emit(report)

@@ -46,8 +46,9 @@ def show(
     knobs = list(flat[names[0]])
     width = max(len(knob) for knob in knobs)
     console.say(f"{'':<{width}}  " + "  ".join(f"{name:>14}" for name in names))
-    for knob in knobs:
-        console.say(f"{knob:<{width}}  " + "  ".join(f"{_text(flat[name][knob]):>14}" for name in names))
+    console.say(
+        *(f"{knob:<{width}}  " + "  ".join(f"{_text(flat[name][knob]):>14}" for name in names) for knob in knobs)
+    )
     console.emit(settings[profile] if profile is not None else settings)
     return 0
 

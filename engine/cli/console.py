@@ -7,7 +7,7 @@ import json
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TextIO
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from engine.numerics.plain import plain
 
 if TYPE_CHECKING:
+    from engine.formats import Repair
     from engine.present.wording import Words
 
 
@@ -58,15 +59,20 @@ class Console:
     def __init__(self, machine: bool) -> None:
         self.machine = machine
 
-    def say(self, text: str = "") -> None:
-        """A line of the result, on stdout."""
-        if not self.machine:
-            _write(_results(), text)
+    def say(self, *lines: str) -> None:
+        """Lines of the result, on stdout."""
+        for line in lines if not self.machine else ():
+            _write(_results(), line)
 
     def note(self, text: str) -> None:
         """A line on stderr, no part of the result."""
         if not self.machine:
             _write(sys.stderr, text)
+
+    def note_repairs(self, repairs: Iterable[Repair]) -> None:
+        """What was repaired on loading."""
+        for repair in repairs:
+            self.note(f"repaired: {repair.text}")
 
     def emit(self, report: Mapping[str, Any]) -> None:
         """The one JSON object on stdout."""

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from engine.cli.console import Console, Progress
-from engine.cli.models import format_for, say_repairs
 from engine.cli.options import From, Json, SpzFrame
 from engine.cli.streams import STREAM, check_kind, check_stdout, input_file, input_name, write_stdout
 from engine.errors import InputError
-from engine.usecases.files import check_folder, check_target, refuse_same, whole_file, whole_folder
+from engine.usecases.files import check_folder, check_target, format_for, refuse_same, whole_file, whole_folder
 
 if TYPE_CHECKING:
     from engine.formats.gltf.metadata import Metadata
@@ -115,13 +114,12 @@ def convert(
         "notes": notes,
         "seconds": time.perf_counter() - began,
     }
-    say_repairs(console, loaded.repairs)
+    console.note_repairs(loaded.repairs)
     console.say(
         f"{model} ({loaded.format}) -> {out} ({kind}): {' + '.join(f'{count:,}' for count in counts)} Gaussians,"
         f" {loaded.source_bytes:,} -> {bytes_out:,} bytes"
     )
-    for note in notes:
-        console.say(f"  note: {note}")
+    console.say(*(f"  note: {note}" for note in notes))
     console.emit(report)
     return 0
 
@@ -135,7 +133,6 @@ def _format_to_write(out: Path, to: str | None) -> str:
 
 
 def _write(scene: Scene, out: Path, kind: str, metadata: Metadata) -> int:
-    """Write one file, or to standard output; returns its bytes."""
     from engine.formats.gltf.metadata import annotate_glb
     from engine.scenes.scene_files import encode_scene, write_scene
 

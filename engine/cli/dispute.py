@@ -12,7 +12,6 @@ import typer
 from engine.cli.console import WIDTH, Console
 from engine.cli.failures import INCONCLUSIVE, OK
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import say_repairs
 from engine.cli.options import Json
 from engine.cli.trust_options import Jwks, TsaCertificates, read_trust
 from engine.errors import InputError
@@ -69,15 +68,14 @@ def dispute(
                 console.note(f"{files[0]}: {note}")
             progress("read", 0.0)
             read = SuspectFiles((files[2],), pictures=False).read()
-            say_repairs(console, read.repairs)
+            console.note_repairs(read.repairs)
             published = read.suspect.model
             assert published is not None  # a dispute is about models
             parties.append(Party(opened, published))
         prepare_kernels(console, progress, "model")
         found = settle(parties[0], parties[1], progress).to_json()
     found |= {"files": [str(path) for path in (*record, *model)], "seconds": time.perf_counter() - began}
-    for line in _lines(dispute_words(found, PLAIN)):
-        console.say(line)
+    console.say(*_lines(dispute_words(found, PLAIN)))
     if report is not None:
         with whole_file(report) as part:
             part.write_text(dispute_page(found), encoding="utf-8")

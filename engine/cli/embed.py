@@ -13,12 +13,11 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json as AsJson
 from engine.cli.options import Key, Knobs, SpzFrame
 from engine.errors import InputError
-from engine.numerics.plain import Json, Report
-from engine.usecases.files import read_bytes
+from engine.numerics.plain import Report
+from engine.usecases.files import format_for, read_bytes
 
 if TYPE_CHECKING:
     from engine.flows.embed.auto_profile import Spent
@@ -187,7 +186,7 @@ def embed(
                 )
             )
             began = time.perf_counter()
-    say_repairs(console, reports[0].mark.repairs)
+    console.note_repairs(reports[0].mark.repairs)
     for report in reports:
         _say(console, report, model)
     if tsa is not None and earlier is None:
@@ -203,17 +202,13 @@ def embed(
 class CopyReport(Report):
     """What `embed --json` reports of one copy."""
 
+    inlined = "mark"
+
     mark: MarkReport
     out: str
     record: str
     seconds: float  # of the command, its share of the first copy included
     seconds_by_stage: dict[str, float]
-
-    def to_json(self) -> Json:
-        """Plain values; the mark's fields stand at the top level."""
-        found = super().to_json()
-        del found["mark"]
-        return self.mark.to_json() | found
 
 
 def _service(tsa: str) -> Stamp:
@@ -223,7 +218,6 @@ def _service(tsa: str) -> Stamp:
 
 
 def _outputs(copies: list[str], out: Path, record: Path) -> dict[str, MarkOutput]:
-    """Marked model and record of each copy."""
     from engine.usecases.mark import MarkOutput
 
     places = [COPY in str(path) for path in (out, record)]
@@ -283,17 +277,14 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
     if made.psnr_total_worst_view > made.psnr_worst_view - 0.1:
         del lines["in total"]
     console.say(f"Marked {model} -> {report.out}")
-    for label, text in lines.items():
-        console.say(f"  {label:<11} {text}")
-    for note in report.mark.notes:
-        console.say(f"  {'note':<11} {note}")
+    noted = [*lines.items(), *(("note", note) for note in report.mark.notes)]
+    console.say(*(f"  {label:<11} {text}" for label, text in noted))
     console.say(
         f"Keep {report.record} and your key: together they prove the watermark. Keep the unmarked original private."
     )
 
 
 def _spending(spent: Spent) -> str:
-    """What an allowance was spent on, for people."""
     allowed = f"{spent.allowed_db:g} dB"
     way = next((way for way in spent.ways if way.sh_degree == spent.sh_degree), None)
     if way is None:

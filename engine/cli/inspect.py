@@ -87,13 +87,9 @@ def inspect(
     console.say(f"  opacity     median {report['opacity_median']:.3f}")
     console.say(f"  scale       median {number(report['scale_median'])}")
     console.say(f"  sha256      {report['sha256']}")
-    for repair in report["repairs"]:
-        console.say(f"  repaired    {repair['text']}")
-    if not report["repairs"]:
-        console.say("  repaired    nothing")
-    for name, text in (report["metadata"] or {}).items():
-        if text:
-            console.say(f"  {name:<12}{text}")
+    repaired = [repair["text"] for repair in report["repairs"]] or ["nothing"]
+    console.say(*(f"  repaired    {text}" for text in repaired))
+    console.say(*(f"  {name:<12}{text}" for name, text in (report["metadata"] or {}).items() if text))
     if credentials is not None:
         _say_credentials(console, credentials)
     console.emit(report)
@@ -134,10 +130,8 @@ def _say_credentials(console: Console, found: Credentials) -> None:
     when = f", {found.signed_at}" if found.signed_at else ", at a time without attestation"
     console.say(f"  signed by   {found.signer} ({found.issuer}), {found.algorithm}{when}")
     console.say(f"  says        {found.generator}: {', '.join(found.actions)}")
-    for alg, value in found.bindings:
-        console.say(f"  bound to    {alg} {value}")
-    for record in found.record_ids:
-        console.say(f"              which is the record {record}")
+    console.say(*(f"  bound to    {alg} {value}" for alg, value in found.bindings))
+    console.say(*(f"              which is the record {record}" for record in found.record_ids))
 
 
 def _pem(path: Path) -> str:

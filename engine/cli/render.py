@@ -10,7 +10,6 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import say_repairs
 from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
 from engine.usecases.files import check_picture_ending, check_target, refuse_same, whole_file, write_picture
@@ -81,7 +80,7 @@ def render(
         prepare_kernels(console, progress)
         progress("read", 0.0)
         loaded = read_model(model, spz_frame=spz_frame)
-        say_repairs(console, loaded.repairs)
+        console.note_repairs(loaded.repairs)
         chosen = choose_camera(loaded.model, camera, view, size)
         stop = None if early is None else early_stop(loaded.model, early)
         started = time.perf_counter()

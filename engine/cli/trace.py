@@ -11,7 +11,6 @@ import typer
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key
 from engine.errors import InputError
 from engine.present.numerals import PLAIN
@@ -70,7 +69,7 @@ def trace(
     with console.progress() as progress:
 
         def prepare(read: ReadSuspect) -> None:
-            say_repairs(console, read.repairs)
+            console.note_repairs(read.repairs)
             prepare_kernels(console, progress, "pictures" if source.pictures else "model")
 
         found = trace_copies(request, progress, prepare).tracing
@@ -78,8 +77,7 @@ def trace(
         "suspects": [str(path) for path in source.paths],
         "seconds": time.perf_counter() - began,
     }
-    for line in _lines(found):
-        console.say(line)
+    console.say(*_lines(found))
     console.emit(report)
     return MARKED if found.named else NOT_MARKED
 

@@ -14,14 +14,13 @@ import typer
 from engine.cli.console import Console, claim_lines
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import say_repairs
 from engine.cli.options import From, Json, Key, SpzFrame
 from engine.cli.streams import STREAM, check_kind, input_file, input_name
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
 from engine.present.numerals import number
 from engine.usecases.files import check_folder, read_bytes, whole_folder
-from engine.usecases.read_ahead import Ahead
+from engine.usecases.read_ahead import ahead
 from engine.usecases.suspect import SuspectFiles
 
 MOVING = "moving"
@@ -29,6 +28,8 @@ MOVING = "moving"
 WITHOUT_ORIGINAL = "the record is of a scene that moves: give --original to look for single moments of it"
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from engine.flows.records.opened_record import OpenedRecord
     from engine.flows.regions.region_search import RegionReport
     from engine.flows.verify.search import Suspect, Verification
@@ -166,7 +167,7 @@ def verify(
         def prepare(read: ReadSuspect) -> None:
             nonlocal compiling
             check_kind(read.format, given, suspects[0])
-            say_repairs(console, read.repairs)
+            console.note_repairs(read.repairs)
             kept.open()  # a wrong key is known before kernels are compiled
             compiling = prepare_kernels(console, progress, "pictures" if source.pictures else "model")
 
@@ -193,10 +194,9 @@ def verify(
     }
     pictures = len(source.paths) if source.pictures else 0
     words = words_of(report, PLAIN, suspect=", ".join(report["suspects"]), pictures=pictures)
-    for line in claim_lines(words):
-        console.say(line)
-    for line in region_lines(answer.regions, str(regions)) if answer.regions is not None else ():
-        console.say(line)
+    console.say(*claim_lines(words))
+    if answer.regions is not None:
+        console.say(*region_lines(answer.regions, str(regions)))
     console.emit(printed(report, message_hex(opened.message)))
     return VERDICT_CODES[report["verdict"]]
 
@@ -205,7 +205,7 @@ def verify(
 class _Record:
     """The record, opened once, while other things are being read."""
 
-    opening: Ahead[tuple[OpenedRecord, tuple[str, ...]]]
+    opening: Future[tuple[OpenedRecord, tuple[str, ...]]]
     original = ""  # it is the only one: nothing is shared with others
 
     @classmethod
@@ -216,7 +216,7 @@ class _Record:
 
         more = [read_attestation(path) for path in attestations]
         owner, data = OwnerKey.read(key), read_bytes(record, "record")
-        return cls(Ahead(open_attested, attach(data, *more) if more else data, owner, trust))
+        return cls(ahead(open_attested, attach(data, *more) if more else data, owner, trust))
 
     def result(self) -> tuple[OpenedRecord, tuple[str, ...]]:
         """The record, and what is not trusted of what it holds."""

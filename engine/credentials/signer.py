@@ -96,14 +96,9 @@ def make_trial_signer(name: str, days: int) -> tuple[Signer, bytes]:
     if not 1 <= days <= 3650:
         raise InputError(f"a certificate is made for 1 to 3,650 days, got {days}")
     root, own = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
-    authority = x509.Name(
-        [
-            x509.NameAttribute(NameOID.COMMON_NAME, "Trial authority"),
-            x509.NameAttribute(NameOID.ORGANIZATION_NAME, name),
-        ]
-    )
-    subject = x509.Name(
-        [x509.NameAttribute(NameOID.COMMON_NAME, name), x509.NameAttribute(NameOID.ORGANIZATION_NAME, name)]
+    parts = NameOID.COMMON_NAME, NameOID.ORGANIZATION_NAME
+    authority, subject = (
+        x509.Name(map(x509.NameAttribute, parts, (common, name))) for common in ("Trial authority", name)
     )
     issued = _issue(authority, root, authority, root, days, of_authority=True)
     leaf = _issue(subject, own, authority, root, days, of_authority=False)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -17,9 +17,16 @@ Json = dict[str, Any]
 class Report(Mapping[str, Any]):
     """Base of a frozen dataclass of measurements that reads as its JSON object, too: `report.z` and `report["z"]`."""
 
+    inlined: ClassVar[str] = ""
+    """Name of the field, a report itself, whose members stand at the top level, before the others."""
+
     def to_json(self) -> Json:
         """Plain values."""
-        return asdict(cast("DataclassInstance", self))
+        found = asdict(cast("DataclassInstance", self))
+        if not self.inlined:
+            return found
+        del found[self.inlined]
+        return dict(getattr(self, self.inlined).to_json() | found)
 
     def __getitem__(self, name: str) -> Any:
         return self.to_json()[name]

@@ -115,7 +115,6 @@ def add_legend(picture: Image.Image, report: RegionReport) -> Image.Image:
 
 
 def _draw_key(pen: ImageDraw.ImageDraw, state: State, top: int) -> None:
-    """A box in the color of a state."""
     fill = tuple(round(255 * part) for part in COLORS[state])
     pen.rectangle((_MARGIN, top + 2, _MARGIN + 22, top + 14), fill=fill, outline=_INK)
     if state is State.UNSEEN:

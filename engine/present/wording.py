@@ -216,7 +216,6 @@ def _sureness(claim: Mapping[str, Any]) -> str:
 
 
 def _power(power: float) -> str:
-    """How surely a watermark would have been found."""
     least = surely(power) if surely(power).startswith("more") else f"at least {surely(power)}"
     return (
         "if the watermark were there, even at half strength, it would have been found with a probability of"
@@ -225,7 +224,6 @@ def _power(power: float) -> str:
 
 
 def _moved(transform: Mapping[str, Any]) -> str:
-    """How the suspect lies against the original."""
     turn, scale = _angle(transform["rotation"]), 1.0 / transform["scale"]
     parts = ["mirrored"] if transform.get("mirrored") else []
     if turn >= 0.05:

@@ -46,6 +46,18 @@ FOLDERS = ("codebook", "frames")
 """Formats of which a model is a folder."""
 
 
+def format_for(path: Path, source: Path | None = None) -> str:
+    """Format that the ending of an output file names; where the source is a folder of frames or codebooks, that."""
+    if source is not None and source.is_dir():
+        from engine.scenes.scene_files import folder_kind
+
+        if (kind := folder_kind(source)) is not None:
+            return kind
+    from engine.formats.known_formats import kind_of
+
+    return kind_of(path.name).name
+
+
 def check_output(target: Path, kind: str) -> None:
     """Refuse a model to write that cannot be written, before any work is done for it."""
     (check_folder if kind in FOLDERS else check_target)(target)

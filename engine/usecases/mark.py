@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from engine.errors import InputError
-from engine.numerics.plain import Json, Report
+from engine.numerics.plain import Report
 from engine.usecases.files import check_output, check_target, refuse_same, whole_file, whole_output, write_secret
-from engine.usecases.read_ahead import Ahead
+from engine.usecases.read_ahead import ahead
 
 if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding, EmbedReport
@@ -70,6 +70,8 @@ class MarkRequest:
 class MarkReport(Report):
     """Measurements of one copy: of the embedding, and of its files."""
 
+    inlined = "embedding"
+
     embedding: EmbedReport
     bytes_in: int
     bytes_out: int
@@ -84,12 +86,6 @@ class MarkReport(Report):
     notes: list[str]  # what the owner should know of the file
     seconds: float
     seconds_by_stage: dict[str, float] = field(default_factory=dict)
-
-    def to_json(self) -> Json:
-        """Plain values; the embedding's fields stand at the top level."""
-        found = super().to_json()
-        del found["embedding"]
-        return self.embedding.to_json() | found
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +118,7 @@ def mark(
     from engine.scenes.carried import left_out_note, without
     from engine.scenes.scene_files import notes_of, output_of, read_scene, write_scene, written_as
 
-    reading = Ahead(read_scene, request.model, name=request.name, spz_frame=request.spz_frame)
+    reading = ahead(read_scene, request.model, name=request.name, spz_frame=request.spz_frame)
     from engine.flows.embed.profiles import delivered_as
     from engine.scenes.scene_marking import embed_scene  # while the file is read
 

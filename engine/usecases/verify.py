@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from engine.errors import InputError
 from engine.numerics.plain import Json, Report
-from engine.usecases.read_ahead import Ahead
+from engine.usecases.read_ahead import ahead
 
 if TYPE_CHECKING:
     from engine.flows.progress import Progress
@@ -55,6 +55,8 @@ class VerifyRequest(Generic[C]):
 class VerifyReport(Report):
     """A claim, and the record it is about."""
 
+    inlined = "claim"
+
     claim: Claim
     seconds: float
     seconds_by_stage: dict[str, float]
@@ -78,12 +80,6 @@ class VerifyReport(Report):
             attested=opened.attested,
             original_sha256=header.original_digest,
         )
-
-    def to_json(self) -> Json:
-        """Plain values; the claim's fields stand at the top level."""
-        found = super().to_json()
-        del found["claim"]
-        return self.claim.to_json() | found
 
 
 def printed(report: Json, registered: str) -> Json:
@@ -122,7 +118,7 @@ def verify(
     prepare : callable, optional
         Called with the suspect once it is read, before the work on it.
     """
-    reading = Ahead(request.suspect.read)
+    reading = ahead(request.suspect.read)
     from engine.flows.trace.candidates import search  # while the files are read
 
     began = time.perf_counter()

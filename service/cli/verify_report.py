@@ -52,13 +52,13 @@ def verify_report(
         console.say(f"{_SIGNS[check.status]} {check.code}: {check.text}")
     if found.document is not None:
         claim = found.document
-        console.say()
+        console.say("")
         console.say(f"Signed claim {claim['claim_id']} of {claim['created_at'][:19]}Z")
         words = document_words(claim, PLAIN)
         console.say(f"{words.headline}. {words.finding}")
         for fact in words.facts:
             console.say(f"  {fact.label:<16}{fact.text}")
-    console.say()
+    console.say("")
     unchecked = [check.code for check in found.checks if check.status == "not_checked"]
     so_far = f", as far as it was checked (not: {', '.join(unchecked)})" if unchecked else ""
     console.say(f"VALID{so_far}" if found.valid else "NOT VALID")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import statistics
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-from tests.architecture.tree import ROOT, module_name, parse, product_files
+from tests.architecture.tree import ROOT, module_name, product_files
 
 SECONDS = 0.5
 """Longest median time that `import mark3dgs` may keep a processor busy (a busy machine is not the package's fault)."""
@@ -49,16 +47,6 @@ def run(code: str, *arguments: str) -> str:
     return done.stdout
 
 
-def imports_at_load(path: Path, package: str) -> bool:
-    """Whether a file imports a package when it is itself imported (type checking apart)."""
-    for node in parse(path).body:
-        if isinstance(node, ast.Import) and any(a.name.split(".")[0] == package for a in node.names):
-            return True
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == package:
-            return True
-    return False
-
-
 def test_the_package_opens_at_once_and_brings_nothing_heavy() -> None:
     runs = [json.loads(run(OPENING, "mark3dgs")) for _ in range(5)]
     assert statistics.median(seconds for seconds, _ in runs) <= SECONDS
@@ -72,8 +60,6 @@ def test_an_api_process_brings_nothing_that_works_on_models() -> None:
 
 @pytest.mark.long
 def test_only_torch_modules_import_torch_when_loaded() -> None:
-    direct = {module_name(path) for path in product_files() if imports_at_load(path, "torch")}
-    assert direct <= TORCH_MODULES
     others = sorted({module_name(path) for path in product_files()} - TORCH_MODULES - RUN_BY_ALEMBIC)
     assert len(others) > 20
     assert json.loads(run(EVERYTHING, json.dumps(others))) == {}

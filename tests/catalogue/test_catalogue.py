@@ -13,7 +13,6 @@ from engine.catalogue.catalogue import Catalogue, screen_model, screen_pictures
 from engine.catalogue.config import CONFIG
 from engine.catalogue.entry import Entry
 from engine.flows.views.camera_rig import make_rig
-from engine.formats import read_model
 from engine.lab.evaluate import strangers
 from engine.lab.sim.attacks import model_attack
 from engine.model import Float32, GaussianModel
@@ -22,12 +21,6 @@ from engine.raster import render_depth
 from engine.registration.sketch import LOOK_ERRORS, SuspectIndex
 from tests.parameters import few
 from tests.pictures.rolling import rolled
-from tests.scenes import PLANT
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 
 from engine.cli import app
 from engine.errors import FormatError
-from engine.usecases.read_ahead import Ahead
+from engine.usecases.read_ahead import ahead
 
 
 def test_it_is_begun_at_once_and_given_when_asked_for() -> None:
@@ -19,26 +19,28 @@ def test_it_is_begun_at_once_and_given_when_asked_for() -> None:
         begun.set()
         return x + more
 
-    ahead = Ahead(work, 1, more=2)
+    answer = ahead(work, 1, more=2)
     assert begun.wait(10.0)
-    assert ahead.result() == 3
+    assert answer.result() == 3
 
 
 def test_its_error_is_raised_where_it_is_asked_for() -> None:
     def work() -> int:
         raise FormatError("is no model", file="x")
 
-    ahead = Ahead(work)
+    answer = ahead(work)
     with pytest.raises(FormatError, match="is no model"):
-        ahead.result()
+        answer.result()
 
 
 def test_a_command_that_ends_before_does_not_wait_for_it() -> None:
     held = threading.Event()
-    ahead = Ahead(held.wait)
-    assert ahead._thread.daemon
+    before = set(threading.enumerate())
+    answer = ahead(held.wait)
+    (started,) = set(threading.enumerate()) - before
+    assert started.daemon
     held.set()
-    assert ahead.result()
+    assert answer.result()
 
 
 def test_the_command_keeps_what_it_freed(monkeypatch: pytest.MonkeyPatch) -> None:

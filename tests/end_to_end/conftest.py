@@ -45,6 +45,12 @@ def ask(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
     return code, json.loads(captured.out)
 
 
+@pytest.fixture
+def key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    assert ask(capsys, "keygen", tmp_path / "owner.key")[0] == 0
+    return tmp_path / "owner.key"
+
+
 @pytest.fixture(scope="session")
 def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
     """A third of the shipped scene, marked with the fast profile through the command line; its landmarks are few."""

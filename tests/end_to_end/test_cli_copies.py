@@ -13,12 +13,6 @@ SMALL = DATA / "train_1000.ply"
 NAMES = ("acme", "globex")
 
 
-@pytest.fixture
-def key(tmp_path: Path, capsys: Capsys) -> Path:
-    assert ask(capsys, "keygen", tmp_path / "owner.key")[0] == 0
-    return tmp_path / "owner.key"
-
-
 def embed(capsys: Capsys, folder: Path, key: Path, out: str, *copies: str) -> tuple[int, dict[str, object]]:
     named = [part for copy in copies for part in ("--copy", copy)]
     files = (folder / f"{out}.ply", "--key", key, "--record", folder / f"{out}.record")

@@ -23,12 +23,6 @@ def refused(capsys: Capsys, *arguments: str | Path) -> dict[str, object]:
     return dict(said["error"])
 
 
-@pytest.fixture
-def key(tmp_path: Path, capsys: Capsys) -> Path:
-    assert ask(capsys, "keygen", tmp_path / "owner.key")[0] == 0
-    return tmp_path / "owner.key"
-
-
 def test_a_record_is_not_replaced_without_force(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
     before = marked.record.read_bytes()
     error = refused(capsys, "embed", SCENE, tmp_path / "out.ply", "--key", marked.key, "--record", marked.record)

@@ -40,12 +40,6 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def key(tmp_path: Path, capsys: Capsys) -> Path:
-    assert ask(capsys, "keygen", tmp_path / "owner.key")[0] == 0
-    return tmp_path / "owner.key"
-
-
 def embed(capsys: Capsys, key: Path, source: Path, out: Path, *more: str) -> tuple[int, dict[str, Any]]:
     record = out.with_suffix(".record")
     return ask(capsys, "embed", source, out, "--key", key, "--record", record, *QUICK, *more)

@@ -15,7 +15,6 @@ from engine.flows.embed.copy_mark import mark_again
 from engine.flows.embed.embedding import embed_copies
 from engine.flows.embed.profiles import profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
-from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
 from engine.model import GaussianModel
 from tests.scenes import sparse_plant
@@ -35,11 +34,6 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[], Mad
         if not path.exists():
             path.write_bytes(pickle.dumps(make()))
     return cast("Made", pickle.loads(path.read_bytes()))
-
-
-@pytest.fixture(scope="session")
-def plant() -> GaussianModel:
-    return read_model(SCENE).model
 
 
 @pytest.fixture(scope="session")

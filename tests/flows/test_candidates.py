@@ -186,11 +186,13 @@ def test_a_picture_of_one_copy_names_it_in_one_reading(copies: Copies, reads: Co
     found = search(suspect, copies.candidates, VerifyConfig(), silent, stop_at_first=True)
     assert reads == {"read_pictures": 1}
     assert [each.named for each in found.outcomes] == [False, False, False, True]
-    assert found.best is not None
-    assert found.best.candidate.record is not None
-    assert found.best.candidate.name == "buyer 3"
-    alone = verify(suspect, found.best.candidate.record, VerifyConfig(tries=found.tries)).claim
-    assert found.best.claim == alone
+    read_as_alone(found, suspect, "buyer 3")
+
+
+def read_as_alone(found: Any, suspect: Suspect, name: str) -> None:
+    """The best answer is of this copy, with its own cells, in full."""
+    assert found.best.candidate.name == name
+    assert found.best.claim == verify(suspect, found.best.candidate.record, VerifyConfig(tries=found.tries)).claim
 
 
 def test_a_picture_of_a_copy_of_format_2_names_it_after_two_readings(earlier: Copies, reads: Counter[str]) -> None:
@@ -198,11 +200,7 @@ def test_a_picture_of_a_copy_of_format_2_names_it_after_two_readings(earlier: Co
     found = search(suspect, earlier.candidates, VerifyConfig(), silent, stop_at_first=True)
     assert reads == {"read_pictures": 2}, "once for all, once for the one that stands out"
     assert [each.whole for each in found.outcomes] == [True, True]
-    assert found.best is not None
-    assert found.best.candidate.record is not None
-    assert found.best.candidate.name == "buyer 1"
-    alone = verify(suspect, found.best.candidate.record, VerifyConfig(tries=found.tries)).claim
-    assert found.best.claim == alone, "with its own cells, in full"
+    read_as_alone(found, suspect, "buyer 1")
 
 
 def test_of_a_faint_picture_the_copy_that_stands_out_alone_is_read_by_itself(

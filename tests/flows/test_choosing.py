@@ -18,7 +18,6 @@ from engine.flows.embed.variant import Variant
 from engine.flows.records.opened_record import open_record
 from engine.flows.verify.search import VerifyConfig, verify_images
 from engine.flows.views.camera_rig import make_rig
-from engine.formats import read_model
 from engine.lab.evaluate.bench.attacks import other_views, to_8_bit
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.lab.sim.attacks import image_attack
@@ -33,11 +32,6 @@ PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
 
 
 DIGEST = "22" * 32
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 def choose_for(model: GaussianModel, bits: int, asked: Auto | None = None) -> Choice:

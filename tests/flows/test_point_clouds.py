@@ -103,13 +103,6 @@ def test_an_obj_without_colors_stays_refused(tmp_path: Path, line: str) -> None:
         read_suspect(tmp_path / "bare.obj")
 
 
-def test_points_without_colors_stay_refused(tmp_path: Path) -> None:
-    bare = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % a for a in b"xyz")
-    (tmp_path / "bare.ply").write_bytes(bare + b"end_header\n1 2 3\n")
-    with pytest.raises(UnsupportedFormatError, match="point cloud or a mesh"):
-        read_suspect(tmp_path / "bare.ply")
-
-
 def test_the_reconstruction_of_the_mesh_measurement_finds_a_ball() -> None:
     from tests.flows.measure_meshes import poisson_mesh
 

@@ -128,16 +128,9 @@ def test_assets_of_one_owner_are_read_apart(copies: Copies, small_plant: Gaussia
 
 
 def test_what_cannot_be_traced_is_refused(copies: Copies) -> None:
-    picture = np.zeros((64, 64, 3), np.float32)
     with pytest.raises(InputError, match="no record"):
         trace_model(copies.models[0], [])
     with pytest.raises(InputError, match="given twice"):
         trace_model(copies.models[0], [copies.opened[0], copies.opened[0]])
-    with pytest.raises(InputError, match="empty"):
-        trace_model(copies.models[0].take(np.arange(0)), copies.opened)
-    with pytest.raises(InputError, match="takes pictures"):
-        trace_model(copies.models[0], copies.opened, VerifyConfig(route="image"))
-    with pytest.raises(InputError, match="takes a model"):
-        trace_images([picture], copies.opened, MODEL)
     with pytest.raises(InputError, match="no picture"):
         trace_images([], copies.opened)

@@ -154,9 +154,3 @@ def random_model(degree: int, n: int = 300, seed: int = 0) -> GaussianModel:
         rng.uniform(-5, 5, n),
         rng.normal(0, 0.3, (n, (degree + 1) ** 2, 3)),
     )
-
-
-def assert_valid(model: GaussianModel) -> None:
-    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
-        assert np.isfinite(getattr(model, name)).all(), name
-    assert np.allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-5)

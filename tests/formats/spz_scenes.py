@@ -48,9 +48,3 @@ def record(kind: int, payload: bytes) -> bytes:
 
 def frame_record(number: int) -> bytes:
     return record(0xADBE0003, struct.pack("<I", number))
-
-
-def assert_valid(model: GaussianModel) -> None:
-    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
-        assert np.isfinite(getattr(model, name)).all(), name
-    assert np.allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-5)

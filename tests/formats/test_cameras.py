@@ -59,12 +59,14 @@ def test_rotations_with_few_decimals_are_made_orthonormal(tmp_path: Path) -> Non
     np.testing.assert_allclose(R, turn.T, atol=2e-3)
 
 
+def nerf_frame(camera: Camera, pose: np.ndarray | None = None) -> dict[str, Any]:
+    """The entry of a camera, of another pose where one is given."""
+    intrinsics = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
+    return {"transform_matrix": (pose_of(camera) if pose is None else pose).tolist(), "w": camera.width, **intrinsics}
+
+
 def test_nerf_file_with_intrinsics(tmp_path: Path) -> None:
-    frames = []
-    for camera in cameras():
-        frame = {"transform_matrix": pose_of(camera).tolist(), "file_path": "x", "w": camera.width}
-        frame |= {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
-        frames.append(frame)
+    frames = [nerf_frame(camera) | {"file_path": "x"} for camera in cameras()]
     path = write_json(tmp_path / "transforms.json", {"h": 100, "frames": frames})
     assert_close(read_cameras(path), cameras())
     assert_close(read_cameras(tmp_path), cameras())
@@ -103,8 +105,7 @@ def test_nerfstudios_transform_is_undone(tmp_path: Path) -> None:
     for camera in cameras():
         moved = applied @ pose_of(camera)
         moved[:3, :3] /= 2  # a pose stays rigid
-        intrinsics = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
-        frames.append({"transform_matrix": moved.tolist(), "w": camera.width, "h": 100, **intrinsics})
+        frames.append(nerf_frame(camera, moved) | {"h": 100})
     path = write_json(tmp_path / "t.json", {"applied_transform": applied[:3].tolist(), "frames": frames})
     assert_close(read_cameras(path), cameras())
 
@@ -116,8 +117,7 @@ def test_nerfstudios_dataparser_leads_to_the_trained_model(tmp_path: Path) -> No
     turn[:3, 3] = [4, -5, 6]
     scale, frames, wanted = 0.125, [], []
     for camera in cameras():
-        intrinsics = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
-        frames.append({"transform_matrix": pose_of(camera).tolist(), "w": camera.width, "h": 100, **intrinsics})
+        frames.append(nerf_frame(camera) | {"h": 100})
         pose = turn @ np.linalg.inv(camera.viewmat)
         pose[:3, 3] *= scale
         wanted.append(Camera(np.linalg.inv(pose), camera.K, camera.width, camera.height))

@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import struct
-import tracemalloc
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from engine.formats.points import read_points
 from engine.model import SH_C0
 from engine.numerics.srgb import from_linear, to_linear
 from engine.scenes.scene_files import read_suspect
+from tests.formats.damage import little_memory
 from tests.formats.gltf_files import glb_of
 
 PLACES = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [1, 2, 3], [4, 5, 6]], np.float32)
@@ -189,13 +189,12 @@ def test_places_beyond_all_numbers_are_left_out() -> None:
 def test_an_obj_takes_hardly_more_memory_than_its_bytes() -> None:
     rows = np.random.default_rng(0).random((20_000, 6))
     data = "\n".join("v " + " ".join(f"{x:.6f}" for x in row) for row in rows.tolist()).encode()
-    tracemalloc.start()
-    found = read_points(data, file="x")
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    with little_memory(
+        6 * len(data)
+    ):  # of which the model itself takes four; ten and more where every word is an object
+        found = read_points(data, file="x")
     assert found is not None
     np.testing.assert_allclose(found[0].means, rows[:, :3], atol=1e-6)
-    assert peak < 6 * len(data)  # of which the model itself takes four; ten and more where every word is an object
 
 
 OBJ = b"mtllib two words.mtl\n" + b"".join(b"v %g %g %g\n" % tuple(p) for p in PLACES.tolist())

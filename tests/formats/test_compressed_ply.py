@@ -9,7 +9,6 @@ import pytest
 from engine.errors import FormatError
 from engine.formats import encode_model, read_model
 from engine.formats.morton import morton_order
-from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from engine.model import SH_C0, GaussianModel
 from tests.formats.models import random_model
 
@@ -50,16 +49,6 @@ def test_round_trip_within_half_a_step(degree: int, n: int) -> None:
     assert rotation_errors(model, back).max() < 0.3
     if degree:
         assert np.abs(model.sh[:, 1:] - back.sh[:, 1:]).max() <= 1 / 32 / 2 + 1e-6
-
-
-def test_alpha_of_one_and_zero_become_finite() -> None:
-    model = random_model(0, 4).with_(opacity_logits=np.array([20, -20, 0, 1]))
-    loaded = read_model(encode_model(model, "compressed.ply"))
-    logits = np.sort(loaded.model.opacity_logits)
-    np.testing.assert_allclose(logits[[0, 3]], [-INFINITE_OPACITY_LOGIT, INFINITE_OPACITY_LOGIT])
-    assert [(repair.code, repair.count) for repair in loaded.repairs] == [("opacities_infinite", 2)]
-    again = read_model(encode_model(loaded.model, "compressed.ply")).model
-    np.testing.assert_array_equal(np.sort(again.opacity_logits), logits)
 
 
 def test_coefficients_at_the_ends_mean_four() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -14,10 +13,10 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
 from engine.formats.kinds.ksplat import HEADER, SECTION_HEADER, looks_like_ksplat, read_ksplat
 from engine.model import GaussianModel
+from tests.formats.damage import MUTATIONS, little_memory, mutated, survives
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.ksplat_files import BLOCK, RANGE, in_file_order, ksplat_of, section_of
 from tests.formats.models import random_model
-from tests.formats.spz_scenes import assert_valid
 
 
 def wide(degree: int, n: int = 700, seed: int = 0) -> GaussianModel:
@@ -107,13 +106,8 @@ def changed(offset: int, value: int, form: str = "<I") -> bytes:
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(data: bytes, what: str) -> None:
-    tracemalloc.start()
-    try:
-        with pytest.raises(FormatError, match=r"^scan\.ksplat.*" + what):
-            read_ksplat(data, file="scan.ksplat")
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
+    with little_memory(1 << 20), pytest.raises(FormatError, match=r"^scan\.ksplat.*" + what):
+        read_ksplat(data, file="scan.ksplat")
 
 
 def test_it_is_told_without_a_magic_and_not_written() -> None:
@@ -133,16 +127,8 @@ def test_every_cut_is_refused() -> None:
 
 
 @settings(max_examples=300)
-@given(st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=6), st.booleans())
+@given(MUTATIONS, st.booleans())
 def test_damaged_bytes_give_a_format_error_or_a_valid_model(mutations: list[tuple[int, int]], heads: bool) -> None:
-    data = bytearray(WHOLE)
-    for position, value in mutations:
-        where = position % len(data)
-        if heads:  # the few bytes that say anything
-            where = position % 44 if position % 2 else HEADER + position % 42
-        data[where] = value
-    try:
-        model, _ = read_ksplat(bytes(data), file="x")
-    except FormatError:
-        return
-    assert_valid(model)
+    if heads:  # the few bytes that say anything
+        mutations = [(at % 44 if at % 2 else HEADER + at % 42, value) for at, value in mutations]
+    survives(read_ksplat, mutated(WHOLE, mutations))

@@ -93,6 +93,14 @@ def test_discs_stay_discs_where_the_format_has_a_word_for_them(kind: str) -> Non
     assert not read_model(encode_model(random_model(1), kind)).model.is_flat
 
 
+@pytest.mark.parametrize("kind", ["splat", "spz"])
+def test_only_ply_has_the_two_scales_of_discs(kind: str) -> None:
+    discs = flatten(random_model(0))
+    assert loss_note(discs, "ply") == []
+    note = next(note for note in loss_note(discs, kind) if "2DGS" in note)
+    assert ("as thin as it allows" in note) == (kind == "spz")
+
+
 def test_two_scales_outrank_a_comment() -> None:
     data = ply_of(names_of(0, scales=2), rows_for(names_of(0, scales=2), 20))
     said = data.replace(b"element", b"comment SplatRenderMode: mip\nelement", 1)

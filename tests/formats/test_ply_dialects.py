@@ -12,8 +12,8 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import LoadedModel, encode_model, read_model, write_model
 from engine.formats.file_writing import loss_note
 from engine.model import SH_C0, look_at
+from tests.formats.damage import assert_valid
 from tests.formats.models import names_of, random_model
-from tests.formats.spz_scenes import assert_valid
 
 CODES = {"ushort": "u2", "uint16": "u2", "short": "i2", "int16": "i2", "half": "f2"} | {
     "uchar": "u1", "char": "i1", "int": "i4", "uint": "u4", "float": "f4", "double": "f8"

@@ -17,9 +17,9 @@ from engine.formats.ply.gaussians import read_ply
 from engine.formats.sog.bundle import read_sog, read_sog_folder, write_sog
 from engine.formats.sog.encoding import position_codes
 from engine.model import GaussianModel
+from tests.formats.damage import assert_valid
 from tests.formats.models import assert_same
 from tests.formats.sog_scenes import (
-    assert_valid,
     bundle,
     pixels_of,
     png,
@@ -150,15 +150,6 @@ def test_gsply_reads_version_1_as_we_do(monkeypatch):
     np.testing.assert_allclose(theirs.shN, ours.sh[:, 1:], atol=1e-6)
     finite = np.abs(theirs.opacities) < 10
     np.testing.assert_allclose(theirs.opacities[finite], ours.opacity_logits[finite], atol=1e-4)
-
-
-def test_alpha_of_nought_and_255_become_finite():
-    model = random_model(0)
-    logits = model.opacity_logits.copy()
-    logits[:2] = 30, -30
-    back, repairs = read_sog(write_sog(model.with_(opacity_logits=logits)), file="x")
-    assert_valid(back)
-    assert [(r.code, r.count) for r in repairs] == [("opacities_infinite", 2)]
 
 
 def test_harmless_faults_are_mended_and_reported():

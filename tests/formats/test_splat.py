@@ -13,7 +13,6 @@ from engine.errors import FormatError
 from engine.formats import encode_model, read_model
 from engine.formats.image_files import is_picture
 from engine.formats.kinds.splat import RECORD, looks_like_splat, read_splat
-from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from engine.model import SH_C0
 from engine.scenes.scene_files import read_scene
 from tests.formats.models import DATA, random_model
@@ -46,18 +45,6 @@ def test_a_real_scene_is_written_back_byte_for_byte_but_for_quaternions() -> Non
     assert np.abs(ours["quats"].astype(int) - theirs["quats"]).max() <= 2
     assert [(repair.code, repair.count) for repair in loaded.repairs] == [("opacities_infinite", 199)]
     assert len(loaded.model) == 113648
-
-
-def test_spherical_harmonics_are_dropped() -> None:
-    model = random_model(3, 50)
-    back = read_model(encode_model(model, "splat")).model
-    assert back.sh_degree == 0
-
-
-def test_alpha_of_zero_and_one_become_finite() -> None:
-    model = random_model(0, 3).with_(opacity_logits=np.array([50, -50, 0]))
-    logits = read_model(encode_model(model, "splat")).model.opacity_logits
-    np.testing.assert_allclose(logits[:2], [INFINITE_OPACITY_LOGIT, -INFINITE_OPACITY_LOGIT])
 
 
 def test_dirty_rows() -> None:

@@ -94,14 +94,8 @@ def test_fewer_sh_bits_cost_what_the_docstring_says():
     assert sizes[0] > sizes[1] > sizes[2]
 
 
-@pytest.mark.parametrize("version", [3, 4])
-def test_same_model_same_bytes_and_no_date(version):
-    model = random_model(2)
-    data = write_spz(model, version=version)
-    assert data == write_spz(model, version=version)
-    if version == 3:
-        assert data[:4] == b"\x1f\x8b\x08\x00"
-        assert data[4:8] == bytes(4)
+def test_it_holds_no_date():
+    assert write_spz(random_model(2), version=3)[:8] == b"\x1f\x8b\x08\x00" + bytes(4)
 
 
 def test_writer_has_the_bytes_of_gaussforge(train):
@@ -183,15 +177,6 @@ def test_frame_is_the_specifications_unless_the_file_or_the_caller_says_otherwis
     assert len(read_spz(unknown, file="x", frame="spec")[0]) == 5
     with pytest.raises(InputError, match="'rub'"):
         read_spz(plain, file="x", frame="rub")
-
-
-def test_alpha_of_nought_and_255_become_finite():
-    sections = random_sections(3, 0, 4, seed=0)
-    sections[1] = bytes([0, 255, 1, 254])
-    model, repairs = read_spz(gzipped(3, 4, 0, sections), file="x")
-    assert np.isfinite(model.opacity_logits).all()
-    np.testing.assert_array_equal(np.rint(model.opacities * 255), [0, 255, 1, 254])
-    assert [(r.code, r.count) for r in repairs if r.code.startswith("opac")] == [("opacities_infinite", 2)]
 
 
 @pytest.mark.parametrize(("reach", "bits"), [(1e-5, 24), (0.1, 21), (1.0, 17), (100.0, 12), (3000.0, 11), (1e6, 3)])

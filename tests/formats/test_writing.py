@@ -7,11 +7,13 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats import FORMATS, encode_model, read_model, write_model
 from engine.formats.file_writing import write_whole
+from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from tests.formats.models import random_model
 
 
@@ -29,6 +31,18 @@ def test_the_ending_chooses_the_format(tmp_path: Path, format: str) -> None:
 @pytest.mark.parametrize("format", FORMATS)
 def test_the_same_model_gives_the_same_bytes(format: str) -> None:
     assert encode_model(random_model(3, 500), format) == encode_model(random_model(3, 500), format)
+
+
+@pytest.mark.parametrize("format", ["compressed.ply", "splat", "spz", "sog"])
+def test_alpha_of_one_and_zero_become_finite_once(format: str) -> None:
+    """In eight bits."""
+    model = random_model(0, 4).with_(opacity_logits=np.array([20, -20, 0, 1]))
+    loaded = read_model(encode_model(model, format))
+    ends = np.sort(loaded.model.opacity_logits)[[0, 3]]
+    np.testing.assert_allclose(ends, [-INFINITE_OPACITY_LOGIT, INFINITE_OPACITY_LOGIT])
+    assert [(repair.code, repair.count) for repair in loaded.repairs] == [("opacities_infinite", 2)]
+    again = read_model(encode_model(loaded.model, format)).model
+    np.testing.assert_array_equal(np.sort(again.opacity_logits)[[0, 3]], ends)
 
 
 def test_a_format_given_overrules_the_ending(tmp_path: Path) -> None:

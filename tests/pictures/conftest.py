@@ -4,17 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from tests.pictures.plant_views import around
-from tests.scenes import PLANT
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.landmarks.keypoints import luma
@@ -14,15 +13,9 @@ from engine.raster import render, render_depth
 from tests.parameters import few
 from tests.pictures.image_cases import attack, marked, picture
 from tests.pictures.plant_views import around
-from tests.scenes import PLANT
 
 SIDE = 500
 SOLID = np.ones((SIDE, SIDE), dtype=np.float32)
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 def line(length: float, degrees: float) -> np.ndarray:

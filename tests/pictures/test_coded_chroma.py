@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy import ndimage
 
-from engine.model import Float32
+from engine.model import Float32, Float64
 from engine.pictures.alignment.residual import OPPONENT, image_cotangent
 from engine.pictures.alignment.tone_and_light import Toned
 from engine.pictures.jpeg.block_transform import transform
@@ -84,21 +86,44 @@ def test_what_is_masked_says_nothing_and_brightness_neither() -> None:
     np.testing.assert_allclose(said @ gray, 0.0, atol=1e-4 * np.abs(said).max())
 
 
-def test_the_score_finds_a_faint_tint_that_the_residual_loses() -> None:
-    """Beside another renderer's errors, which lie along edges."""
-    rng = np.random.default_rng(2)
-    base = colored(2)
+def tinted(base: Float32, seed: int, count: int) -> Iterator[tuple[Float64, Float32, Float32]]:
+    """Signs of a faint tint, the tint, and the coded picture that shows it beside another renderer's errors, which lie
+    along edges."""
+    rng = np.random.default_rng(seed)
     edges = np.abs(ndimage.gaussian_gradient_magnitude(base[..., 1], 1.0))[..., None]
-    residual, score = [], []
-    for _ in range(12):
+    for _ in range(count):
         signs = rng.choice([-1.0, 1.0], (40, 40))
         pattern = (np.kron(signs, np.full((8, 8), 1.0 / 255.0))[..., None] * OPPONENT[1]).astype(np.float32)
         errors = ndimage.gaussian_filter(rng.normal(size=base.shape), (1.0, 1.0, 0.0)) * 0.3 * edges
-        picture = saved(np.clip(base + pattern + errors.astype(np.float32), 0.0, 1.0), 80)
+        yield signs, pattern, saved(np.clip(base + pattern + errors.astype(np.float32), 0.0, 1.0), 80)
+
+
+def z_of(image: Float32, signs: Float64) -> float:
+    y = (image @ OPPONENT[1]).reshape(40, 8, 40, 8).sum(axis=(1, 3)) * signs
+    return float(y.sum() / np.sqrt(np.square(y).sum()))
+
+
+def test_the_score_finds_a_faint_tint_that_the_residual_loses() -> None:
+    base = colored(2)
+    residual, score = [], []
+    for signs, pattern, picture in tinted(base, 2, 12):
         found = CodedChroma.of(picture, whole(base), pattern, 80)
         assert found is not None
         plain = image_cotangent(base, picture, whole(base), Toned(base, np.ones_like(base)), planes=slice(1, 3))
-        for cells, image in ((residual, plain), (score, found.cotangent(base))):
-            y = (image @ OPPONENT[1]).reshape(40, 8, 40, 8).sum(axis=(1, 3)) * signs
-            cells.append(y.sum() / np.sqrt(np.square(y).sum()))
+        residual.append(z_of(plain, signs))
+        score.append(z_of(found.cotangent(base), signs))
     assert np.mean(score) > 1.1 * np.mean(residual) > 2.0
+
+
+def test_what_lies_off_the_multiples_would_drown_the_rest() -> None:
+    """A translucent panel over half of the picture, drawn after it was coded."""
+    base = colored(2)
+    kept, counted = [], []
+    for signs, pattern, picture in tinted(base, 3, 4):
+        picture[: SIDE // 2] = 0.5 * picture[: SIDE // 2] + np.float32([0.2, 0.25, 0.3])
+        found = CodedChroma.of(picture, whole(base), pattern, 80)
+        assert found is not None
+        kept.append(z_of(found.cotangent(base), signs))
+        every = replace(found, whole=np.ones_like(found.whole))
+        counted.append(z_of(every.cotangent(base), signs))
+    assert np.mean(kept) > 1.1 * np.mean(counted) > 5.0

@@ -48,6 +48,19 @@ def test_single_pixels_have_no_detail() -> None:
     assert compare_detail(picture, picture, np.ones_like(picture), few, camera) == (0.0, 0.0)
 
 
+def test_an_outline_alone_is_no_detail() -> None:
+    """What has the same shape and another texture is alike only where both end."""
+    rng = np.random.default_rng(0)
+    row, column = np.mgrid[0:480, 0:480]
+    cover = smooth((np.hypot(row % 160 - 80, column % 160 - 80) < 50).astype(np.float32), 2.0)
+    textures = [smooth(rng.normal(size=cover.shape).astype(np.float32), 3.0) for _ in range(2)]
+    one, other = (cover * (0.5 + 0.1 * texture / texture.std()) for texture in textures)
+    camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), UP, 480.0, 480, 480)
+    everywhere = np.ones(cover.shape, dtype=np.bool_)
+    assert abs(compare_detail(one, other, cover, everywhere, camera).correlation) < 0.2
+    assert compare_detail(one, one, cover, everywhere, camera).correlation > 0.99
+
+
 def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel) -> None:
     """A few strokes of a drawing once fitted a small part of a statue: a large one says more."""
     camera = around(plant, 90.0, 30.0, 1.3, 1.1)

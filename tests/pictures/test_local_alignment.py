@@ -47,6 +47,16 @@ def test_what_was_bent_by_many_pixels_is_found_to_a_fraction_of_one(view: tuple[
     assert np.abs(luma(found.warped) - 0.8 * luma(plain) - 0.05)[found.mask].mean() < 0.02
 
 
+def test_rough_flow_is_followed_to_the_end_in_a_small_picture(plant: GaussianModel, camera: Camera) -> None:
+    """A tenth of it lies half a pixel off and more where flow at half size has the last word."""
+    image, alpha, _ = render_depth(plant, camera.with_side(256))
+    plain = np.clip(image, 0.0, 1.0)
+    source, off = bent(plain.shape, 15.0)
+    found = align_locally(plain, alpha, jpeg(0.8 * remap(plain, source)[0] + 0.05, 80))
+    assert found is not None
+    assert np.quantile(np.linalg.norm(found.flow - off, axis=2)[found.mask], 0.9) < 0.45
+
+
 def test_what_fits_is_not_searched(view: tuple[Float32, Float32], monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Float32) -> None:
         raise AssertionError("searched")

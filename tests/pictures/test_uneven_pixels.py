@@ -130,13 +130,6 @@ def test_the_photograph_of_a_screen_seen_from_aside_is_recognised(plant: Gaussia
     assert found.correlation > 0.97
 
 
-@pytest.mark.slow
-def test_a_whole_picture_is_square(plant: GaussianModel, bank: Landmarks) -> None:
-    found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
-    assert found is not None
-    assert found.shape is None
-
-
 def test_a_shape_must_explain_more_than_square_pixels_do_in_the_end(
     plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,9 +6,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData
 from scipy.spatial.transform import Rotation
 
+from engine.formats import read_model
 from engine.model import SH_C0, GaussianModel
 from engine.numerics.similarity import transform_model
 
@@ -41,18 +41,7 @@ def scene(seed: int, n: int = 8_000, degree: int = 1) -> GaussianModel:
 
 @cache
 def train() -> GaussianModel:
-    v = PlyData.read(TRAIN)["vertex"]
-    columns = lambda *names: np.stack([v[name] for name in names], axis=1)  # noqa: E731
-    quats = columns(*(f"rot_{i}" for i in range(4)))
-    rest = columns(*(f"f_rest_{i}" for i in range(45))).reshape(-1, 3, 15).transpose(0, 2, 1)
-    dc = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
-    return GaussianModel(
-        columns("x", "y", "z"),
-        columns("scale_0", "scale_1", "scale_2"),
-        quats / np.linalg.norm(quats, axis=1, keepdims=True),
-        v["opacity"],
-        np.concatenate([dc, rest], 1),
-    )
+    return read_model(TRAIN).model
 
 
 def marked(model: GaussianModel, seed: int = 0) -> GaussianModel:

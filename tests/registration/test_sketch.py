@@ -21,11 +21,6 @@ DATA = Path(__file__).parents[1] / "data"
 
 
 @pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(DATA / "plant.splat").model
-
-
-@pytest.fixture(scope="module")
 def sketch(plant: GaussianModel) -> Sketch:
     return Sketch.from_bytes(make_sketch(plant).to_bytes())
 

@@ -9,12 +9,15 @@ import pytest
 from tests.service.postgres import Postgres
 
 
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[Postgres]:
-    """A server for the session; a test that stops it starts one of its own."""
+def running_postgres() -> Iterator[Postgres]:
+    """A server of PostgreSQL."""
     try:
         server = Postgres()
     except Exception as error:
         pytest.skip(f"PostgreSQL does not start here: {error}")
     yield server
     server.close()
+
+
+postgres = pytest.fixture(scope="session", name="postgres")(running_postgres)
+"""One for the session; a test that stops it starts one of its own."""

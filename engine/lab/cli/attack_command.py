@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from engine.cli.console import Console
-from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
 from engine.lab.cli.shared import Seed
@@ -19,6 +18,7 @@ from engine.usecases.files import (
     JPEG_QUALITY,
     check_picture_ending,
     check_target,
+    format_for,
     refuse_same,
     whole_file,
     write_picture,
@@ -152,7 +152,7 @@ def _attack_model(
 
     kind = format_for(out)
     loaded = read_model(target, spz_frame=spz_frame)
-    say_repairs(console, loaded.repairs)
+    console.note_repairs(loaded.repairs)
     options = {"other": read_model(into, spz_frame=spz_frame).model} if into is not None else {}
     result = apply(loaded.model, **options)
     with whole_file(out) as part:

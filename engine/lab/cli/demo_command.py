@@ -89,10 +89,10 @@ def demo(
         "another key": "wrong_key",
     }
     found = {name: outcome["verdict"] for name, outcome in outcomes.items()}
-    console.say()
+    console.say("")
     for line in claim_lines(words):
         console.say(line)
-    console.say()
+    console.say("")
     console.say(f"{time.perf_counter() - began:.0f} s in all. Look at {out / 'demo.png'}; try it yourself:")
     console.say(f"  mark3dgs verify {out / STOLEN} --record {out / 'scene.record'} --key {out / 'owner.key'}")
     console.emit(

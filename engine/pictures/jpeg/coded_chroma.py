@@ -63,7 +63,7 @@ class CodedChroma:
         first, multiples, off = best
         inside = (_blocks(_halved(mask.astype(np.float32)), first, plain=True) == 1.0).all(axis=(2, 3))
         spread = [mark_spread(_blocks(_halved(255.0 * pattern @ OPPONENT[c]), first)) for c in (1, 2)]
-        # What was clipped to black or white lies off the multiples.
+        # What was clipped, or drawn over later, lies off the multiples.
         whole = inside[None, :, :, None, None] & (off < 0.25)
         return cls(mask.shape, first, steps, np.round(multiples) * steps, np.stack(spread), whole)
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from engine.flows.views.camera_rig import make_rig
-from engine.formats import read_model
 from engine.lab.evaluate.baselines.method import Kept
 from engine.lab.evaluate.baselines.methods import METHODS
 from engine.lab.evaluate.baselines.picture_marks import FittedPictures, decode, encode
@@ -25,11 +24,6 @@ from engine.watermark.messages import Signs, derive_message
 PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
 KEY = bench_key(5)
 MESSAGE = derive_message(KEY, 32, b"test")
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 @pytest.fixture(scope="module")

@@ -42,18 +42,14 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     return kept
 
 
+def through_gsplat(p: dict[str, torch.Tensor], background: float, settings: RasterSettings) -> Any:
+    return cuda.rasterize(**p, width=53, height=47, colors=None, background=background, settings=settings)
+
+
 def test_what_gsplat_is_given(calls: list[tuple[Any, ...]]) -> None:
     p = tensors("cpu")
     settings = RasterSettings(eps2d=0.1, near=0.2)
-    image, alpha = cuda.rasterize(
-        **{k: v for k, v in p.items() if k != "sh"},
-        width=53,
-        height=47,
-        sh=p["sh"],
-        colors=None,
-        background=0.5,
-        settings=settings,
-    )
+    image, alpha = through_gsplat(p, 0.5, settings)
     assert image.shape == (47, 53, 3)
     assert alpha.shape == (47, 53)
     (means, _, scales, opacities, colors, viewmats, Ks, width, height), options = calls[0]
@@ -70,34 +66,16 @@ def test_what_gsplat_is_given(calls: list[tuple[Any, ...]]) -> None:
 
 
 def test_settings_that_gsplat_cannot_honour(calls: list[tuple[Any, ...]]) -> None:
-    p = tensors("cpu")
     with pytest.raises(InputError, match="gsplat"):
-        cuda.rasterize(
-            **{k: v for k, v in p.items() if k != "sh"},
-            width=53,
-            height=47,
-            sh=p["sh"],
-            colors=None,
-            background=0.0,
-            settings=RasterSettings(alpha_clamp=0.99),
-        )
+        through_gsplat(tensors("cpu"), 0.0, RasterSettings(alpha_clamp=0.99))
     assert not calls
 
 
 @pytest.mark.skipif(importlib.util.find_spec("gsplat") is not None, reason="gsplat is installed")
 def test_without_gsplat() -> None:
     assert not cuda.available()
-    p = tensors("cpu")
     with pytest.raises(InputError, match="mark3dgs"):
-        cuda.rasterize(
-            **{k: v for k, v in p.items() if k != "sh"},
-            width=53,
-            height=47,
-            sh=p["sh"],
-            colors=None,
-            background=0.0,
-            settings=RasterSettings(),
-        )
+        through_gsplat(tensors("cpu"), 0.0, RasterSettings())
 
 
 @pytest.mark.skipif(not cuda.available(), reason="needs a CUDA device and the gsplat package")

@@ -63,6 +63,12 @@ OUT_OF_RANGE = {
 }
 
 
+def test_all_that_are_refused_here_are_there() -> None:
+    others = {"contrast", "saturation", "white_balance", "webp", "avif", "h264", "h265"}
+    others |= {f"resize_{way}" for way in ("nearest", "bilinear", "area", "lanczos")}
+    assert others | set(OUT_OF_RANGE) <= {*MODEL_ATTACKS, *IMAGE_ATTACKS}
+
+
 def refused(attack: Attack) -> float | str:
     """A strength beyond the end of the range; of an attack without a word above, one that is none."""
     return OUT_OF_RANGE.get(attack.name, "none" if isinstance(attack.default, str) else float("nan"))

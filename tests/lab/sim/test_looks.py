@@ -9,9 +9,10 @@ import pytest
 
 from engine.flows.views.camera_rig import measure_extent
 from engine.lab.sim.attacks import MODEL_ATTACKS, model_attack
-from engine.model import Camera, Float32, Float64, GaussianModel, look_at
+from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
+from tests.lab.sim.test_model_attacks import similarity_of
 
 
 @pytest.fixture(scope="module")
@@ -29,15 +30,12 @@ def before(model: GaussianModel, camera: Camera) -> Float32:
 
 
 def moved_camera(camera: Camera, model: GaussianModel, moved: GaussianModel) -> Camera:
-    """The camera that sees the moved model as `camera` sees the model, by Procrustes on the centers."""
-    a, b = model.means.astype(np.float64), moved.means.astype(np.float64)
-    a0, b0 = a - a.mean(axis=0), b - b.mean(axis=0)
-    u, _, vt = np.linalg.svd(b0.T @ a0)
-    R: Float64 = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    scale = np.sqrt((b0**2).sum() / (a0**2).sum())
+    """The camera that sees the moved model as `camera` sees the model."""
+    scale, R, shift = similarity_of(model, moved)
+    middle = model.means.mean(axis=0, dtype=np.float64)
     viewmat = np.eye(4)
     viewmat[:3, :3] = camera.viewmat[:3, :3] @ R.T
-    eye = scale * R @ (camera.position - a.mean(axis=0)) + b.mean(axis=0)
+    eye = scale * R @ (camera.position - middle) + middle + shift
     viewmat[:3, 3] = -viewmat[:3, :3] @ eye
     return Camera(viewmat, camera.K, camera.width, camera.height)
 

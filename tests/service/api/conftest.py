@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
@@ -18,6 +19,7 @@ from service.trust.signing import ensure_key
 DATA = Path(__file__).resolve().parents[2] / "data"
 PLANT = DATA / "plant.splat"
 SMALL = DATA / "train_1000.ply"
+SetUp = Callable[..., None]
 
 
 @dataclass(frozen=True)
@@ -78,3 +80,14 @@ def stranger(service: Service) -> Api:
 def reader(service: Service, request: pytest.FixtureRequest) -> Api:
     """Who may read only, of the same tenant as `api`."""
     return _api(service, f"tenant of {request.node.name}"[:100], ["read"])
+
+
+@pytest.fixture
+def set_up(api: Api, monkeypatch: pytest.MonkeyPatch) -> SetUp:
+    """Serve `api` under other settings."""
+
+    def under(**settings: Any) -> None:
+        plain = api.service.settings.model_dump() | {"master_key": None} | settings
+        monkeypatch.setattr(api.client.app.state, "service", replace(api.service, settings=Settings(**plain)))  # type: ignore[attr-defined]
+
+    return under

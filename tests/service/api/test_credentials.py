@@ -24,10 +24,10 @@ from service.core import Service
 from service.db.schema import assets, manifests
 from service.settings import Settings
 from service.trust.audit_check import verify_log
-from service.trust.commitments import commit_asset
 from service.uploads.retention import sweep
 from tests.service.api.conftest import SMALL, Api, _api
-from tests.service.api.test_deleting import age, put
+from tests.service.api.test_deleting import age
+from tests.service.rows import add_asset, put
 
 TENANT, RECORD = "tenant of credentials", "3871513a0d27461d362f21a8244218b9"
 VALUE = binding_value(RECORD)
@@ -45,15 +45,11 @@ def trial(folder: Path, name: str) -> dict[str, str]:
 def signing(tmp_path: Path) -> Iterator[Service]:
     """A service whose operator signs, with one asset."""
     service = Service.open(Settings(data_dir=tmp_path / "data", **trial(tmp_path / "acme", "Acme")))  # type: ignore[arg-type]
-    row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {"gaussians": 1, "report": "{}"}
     model = encode_model(read_model(SMALL).model, "sog")
-    digests = {name: put(service, name.encode()) for name in ("record", "preview", "sketch")}
-    digests |= {"model": put(service, model), "original": put(service, SMALL.read_bytes())}
-    row |= {"id": "as_1", "tenant": TENANT, "record_id": RECORD, "model_format": "sog", "original_format": "ply"}
-    row |= {f"{name}_sha256": digest for name, digest in digests.items()}
-    with service.db.write() as connection:
-        connection.execute(assets.insert().values(row))
-        commit_asset(connection, row)
+    row = {"tenant": TENANT, "record_id": RECORD, "model_format": "sog", "original_format": "ply"}
+    row |= {f"{name}_sha256": put(service.blobs, name.encode()) for name in ("record", "preview", "sketch")}
+    row |= {"model_sha256": put(service.blobs, model), "original_sha256": put(service.blobs, SMALL.read_bytes())}
+    add_asset(service.db, commit=True, **row)
     yield service
     service.close()
 

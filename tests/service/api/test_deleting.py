@@ -12,12 +12,12 @@ import sqlalchemy as sa
 from service.assets.conversions import keep, kept
 from service.clock import ago, now
 from service.core import Service
-from service.db.schema import assets, claims, jobs
+from service.db.schema import claims, jobs
 from service.jobs.port import Job, State
 from service.settings import Settings
-from service.trust.commitments import commit_asset
 from service.uploads.retention import sweep
 from tests.service.api.conftest import SMALL, Api, _api
+from tests.service.rows import add_asset, put
 
 TENANT = "tenant of deleting"
 
@@ -30,22 +30,13 @@ def own(tmp_path: Any) -> Any:
     service.close()
 
 
-def put(service: Service, content: bytes) -> str:
-    with service.blobs.new_file() as path:
-        path.write_bytes(content)
-        return service.blobs.put(path)
-
-
 def filled(service: Service) -> dict[str, str]:
     """An asset with files, a conversion of it, and a claim; digests by name."""
-    digests = {name: put(service, name.encode()) for name in ("original", "model", "record", "preview", "sketch")}
-    row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {"gaussians": 1, "report": "{}"}
-    row |= {"id": "as_1", "tenant": TENANT} | {f"{name}_sha256": digest for name, digest in digests.items()}
-    digests |= {"conversion": put(service, b"conversion"), "picture": put(service, b"picture")}
+    names = ("original", "model", "record", "preview", "sketch", "conversion", "picture")
+    digests = {name: put(service.blobs, name.encode()) for name in names}
+    add_asset(service.db, commit=True, tenant=TENANT, **{f"{name}_sha256": digests[name] for name in names[:5]})
     keep(service, digests["model"], "spz", digests["conversion"])
     with service.db.write() as connection:
-        connection.execute(assets.insert().values(row))
-        commit_asset(connection, row)
         claim = {"id": "cl_1", "tenant": TENANT, "job": "y", "asset": "as_1", "document": "{}", "jws": "a.b.c"}
         claim |= {"pictures": f'{{"suspect": "{digests["picture"]}"}}', "created_at": now()}
         connection.execute(claims.insert().values(claim))

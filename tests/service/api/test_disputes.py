@@ -10,16 +10,14 @@ from service.db.schema import assets
 from service.trust import audit
 from service.trust.api_keys import OPERATOR
 from tests.service.api.conftest import Api, _api
+from tests.service.rows import add_asset
 
 
 def asset_of(service: Service, tenant: str) -> str:
     """An asset of a tenant, as a worker would have left it."""
     name = "as_" + secrets.token_hex(12)
-    text = {column.name: "x" for column in assets.columns} | {"id": name, "tenant": tenant, "job": name, "report": "{}"}
-    digests = {column: "a" * 64 for column in text if column.endswith("sha256")}
-    with service.db.write() as connection:
-        connection.execute(assets.insert().values(**{**text, **digests, "gaussians": 1}))
-    return name
+    digests = {column.name: "a" * 64 for column in assets.columns if column.name.endswith("sha256")}
+    return add_asset(service.db, id=name, tenant=tenant, job=name, **digests)
 
 
 def ask(api: Api, one: str, two: str) -> dict[str, Any]:

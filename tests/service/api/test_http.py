@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from service import processes
-from service.db.schema import assets
 from tests.service.api.conftest import SMALL, Api, _api
+from tests.service.rows import add_asset
 
 
 @pytest.mark.parametrize(
@@ -59,10 +59,7 @@ def model(service: Any, request: pytest.FixtureRequest) -> tuple[Api, str, bytes
     data = SMALL.read_bytes()
     digest = api.client.get(f"/v1/uploads/{api.upload(data)}").json()["sha256"]
     name = f"as_{request.node.name}"
-    row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {"gaussians": 1, "report": "{}"}
-    row |= {"id": name, "tenant": tenant, "job": name, "model_sha256": digest, "model_format": "ply"}
-    with service.db.write() as connection:
-        connection.execute(assets.insert().values(row))
+    add_asset(service.db, id=name, tenant=tenant, job=name, model_sha256=digest, model_format="ply")
     return api, f"/v1/assets/{name}/model", data
 
 

@@ -15,6 +15,7 @@ from service.core import Service
 from service.db.schema import assets, claims
 from service.jobs.port import Job, State
 from tests.service.api.conftest import SMALL, Api
+from tests.service.rows import add_asset
 
 SHARED = {"/shared/{token}", "/shared/{token}/claim.json", "/shared/{token}/pack"}
 PUBLIC = {
@@ -28,11 +29,9 @@ def _rows(service: Service, tenant: str, job: str) -> tuple[str, str]:
     """An asset and a claim of a tenant, as a worker would have left them."""
     asset_id, claim_id = (f"{kind}_{secrets.token_hex(12)}" for kind in ("as", "cl"))
     digest = "a" * 64
-    text = {column.name: "x" for column in assets.columns if column.name not in ("gaussians", "report")}
-    digests = {name: digest for name in text if name.endswith("sha256")}
+    digests = {column.name: digest for column in assets.columns if column.name.endswith("sha256")}
+    add_asset(service.db, id=asset_id, tenant=tenant, job=job, **digests)
     with service.db.write() as connection:
-        row = {**text, **digests, "id": asset_id, "tenant": tenant, "job": job, "gaussians": 1, "report": "{}"}
-        connection.execute(assets.insert().values(row))
         of_it = {"id": claim_id, "tenant": tenant, "job": job, "asset": asset_id, "created_at": now()}
         connection.execute(claims.insert().values(**of_it, document="{}", jws="a.b.c", pictures="{}"))
     return asset_id, claim_id

@@ -6,9 +6,8 @@ import asyncio
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +23,12 @@ from service.processes import Turns
 from service.settings import Settings
 from service.uploads import ingest, store
 from service.uploads.store import stored_bytes
-from tests.service.api.conftest import SMALL, Api, _api
-
-Limited = Callable[..., None]
-
-
-@pytest.fixture
-def limited(api: Api, monkeypatch: pytest.MonkeyPatch) -> Limited:
-    """Serve `api` under other limits."""
-
-    def under(**limits: Any) -> None:
-        plain = api.service.settings.model_dump() | {"master_key": None} | limits
-        monkeypatch.setattr(api.client.app.state, "service", replace(api.service, settings=Settings(**plain)))  # type: ignore[attr-defined]
-
-    return under
+from tests.service.api.conftest import SMALL, Api, SetUp, _api
+from tests.service.rows import add_asset
 
 
-def test_a_queue_of_so_many_jobs(api: Api, stranger: Api, limited: Limited) -> None:
-    limited(queued_jobs=2)
+def test_a_queue_of_so_many_jobs(api: Api, stranger: Api, set_up: SetUp) -> None:
+    set_up(queued_jobs=2)
     body = {"upload_id": api.upload(SMALL.read_bytes())}
     jobs = [api.client.post("/v1/verify", json=body) for _ in range(3)]
     assert [answer.status_code for answer in jobs] == [202, 202, 429]
@@ -52,9 +39,9 @@ def test_a_queue_of_so_many_jobs(api: Api, stranger: Api, limited: Limited) -> N
     assert api.client.post("/v1/verify", json=body).status_code == 202, "one that ended makes room"
 
 
-def test_storage(api: Api, limited: Limited) -> None:
+def test_storage(api: Api, set_up: SetUp) -> None:
     data = SMALL.read_bytes()
-    limited(tenant_bytes=2 * len(data) + 1000)
+    set_up(tenant_bytes=2 * len(data) + 1000)
     first, _ = api.upload(data), api.upload(data)
     refused = api.client.post("/v1/uploads", json={"size": 2000})
     assert (refused.status_code, refused.json()["type"]) == (413, "urn:mark3dgs:problem:quota-exceeded")
@@ -67,14 +54,14 @@ def test_storage(api: Api, limited: Limited) -> None:
     assert api.client.post("/v1/uploads", json={"size": 2000}).status_code == 201, "deleting makes room at once"
 
 
-def test_a_tenant_that_stores_too_much_cannot_embed(api: Api, limited: Limited) -> None:
+def test_a_tenant_that_stores_too_much_cannot_embed(api: Api, set_up: SetUp) -> None:
     body = {"upload_id": api.upload(SMALL.read_bytes())}
-    limited(tenant_bytes=len(SMALL.read_bytes()))
+    set_up(tenant_bytes=len(SMALL.read_bytes()))
     assert api.client.post("/v1/embed", json=body).json()["type"] == "urn:mark3dgs:problem:quota-exceeded"
 
 
-def test_uploads_under_way(api: Api, limited: Limited) -> None:
-    limited(open_uploads=2)
+def test_uploads_under_way(api: Api, set_up: SetUp) -> None:
+    set_up(open_uploads=2)
     codes = [api.client.post("/v1/uploads", json={"size": 10}).status_code for _ in range(3)]
     assert codes == [201, 201, 429]
 
@@ -86,13 +73,10 @@ def _asset(api: Api, number: int, **values: Any) -> str:
         from service.db.schema import owner_keys
 
         tenant = connection.execute(owner_keys.select().where(owner_keys.c.id == key)).one().tenant
-    row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {"gaussians": 1}
     report = {"bytes_in": 100_000_000, "bytes_out": 10_000_000, "record_bytes": 1_000_000}
-    row |= {"id": f"as_{tenant[-30:]}_{number}", "tenant": tenant, "job": f"job of {tenant} {number}"}
+    row = {"id": f"as_{tenant[-30:]}_{number}", "tenant": tenant, "job": f"job of {tenant} {number}"}
     row |= {"report": json.dumps(report), "model_format": "ply", "model_sha256": f"{number:064x}"} | values
-    with api.service.db.write() as connection:
-        connection.execute(assets.insert().values(**row))
-    return str(row["id"])
+    return add_asset(api.service.db, **row)
 
 
 def test_what_a_tenant_stores(api: Api) -> None:
@@ -204,20 +188,20 @@ def test_looks_that_wait_keep_nobody_else_waiting(tmp_path: Path, monkeypatch: p
 
 
 def test_unannounced_uploads_at_a_time_do_not_pass_the_limit(
-    api: Api, limited: Limited, monkeypatch: pytest.MonkeyPatch
+    api: Api, set_up: SetUp, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What there was room for when it began to come may find none when it has come."""
     data = SMALL.read_bytes()
-    limited(tenant_bytes=len(data) + 10)
+    set_up(tenant_bytes=len(data) + 10)
     slots = [api.client.post("/v1/uploads", json={}).json()["id"] for _ in range(2)]
     monkeypatch.setattr(store, "room", lambda service, row: 1 << 30)
     statuses = [api.client.put(f"/v1/uploads/{slot}", content=data).status_code for slot in slots]
     assert statuses == [200, 413]
 
 
-def test_limits_hold_for_many_who_ask_at_once(api: Api, limited: Limited) -> None:
+def test_limits_hold_for_many_who_ask_at_once(api: Api, set_up: SetUp) -> None:
     """Forty see that there is room for one more."""
-    limited(queued_jobs=3, open_uploads=2, tenant_bytes=10**6)
+    set_up(queued_jobs=3, open_uploads=2, tenant_bytes=10**6)
     body = {"upload_id": api.upload(SMALL.read_bytes())}
 
     def ask(number: int) -> tuple[int, int]:
@@ -230,8 +214,8 @@ def test_limits_hold_for_many_who_ask_at_once(api: Api, limited: Limited) -> Non
     assert (slots.count(201), slots.count(429)) == (2, 38)
 
 
-def test_storage_holds_for_many_who_ask_at_once(api: Api, limited: Limited) -> None:
-    limited(tenant_bytes=1000)
+def test_storage_holds_for_many_who_ask_at_once(api: Api, set_up: SetUp) -> None:
+    set_up(tenant_bytes=1000)
     with ThreadPoolExecutor(20) as pool:
         answers = list(pool.map(lambda _: api.client.post("/v1/uploads", json={"size": 400}).status_code, range(20)))
     assert (answers.count(201), answers.count(413)) == (2, 18)

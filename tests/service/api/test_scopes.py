@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from service.db.schema import assets, claims
+from service.db.schema import claims
 from service.jobs.port import Job, State
 from tests.service.api.conftest import SMALL, Api, _api
+from tests.service.rows import add_asset
 
 TENANT = "tenant of scopes"
 
@@ -25,19 +26,15 @@ def made(service: Any) -> dict[str, str]:
         job = Job(f"job_{kind}{id(ids)}", TENANT, key_id, kind, State.QUEUED, {"model": digest})
         service.jobs.submit(job)
         ids[kind] = job.id
-        row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {"gaussians": 1, "report": "{}"}
-        row |= {f"{name}_sha256": digest for name in ("original", "model", "record", "preview", "sketch")}
-        row |= {"original_format": "ply", "model_format": "ply"}
-        with service.db.write() as connection:
-            if number == 0:
-                ids["asset"] = f"as_{id(ids)}"
-                connection.execute(assets.insert().values(row | {"id": ids["asset"], "tenant": TENANT, "job": job.id}))
-            else:
-                ids["claim"] = f"cl_{id(ids)}"
-                texts = {"document": "{}", "jws": "a.b.c", "pictures": "{}", "created_at": "x"}
-                connection.execute(
-                    claims.insert().values(texts | {"id": ids["claim"], "tenant": TENANT, "job": job.id})
-                )
+        of_it = {"tenant": TENANT, "job": job.id}
+        if number == 0:
+            of_it |= {f"{name}_sha256": digest for name in ("original", "model", "record", "preview", "sketch")}
+            of_it |= {"original_format": "ply", "model_format": "ply"}
+            ids["asset"] = add_asset(service.db, id=f"as_{id(ids)}", **of_it)
+        else:
+            ids["claim"] = f"cl_{id(ids)}"
+            of_it |= {"document": "{}", "jws": "a.b.c", "pictures": "{}", "created_at": "x"}
+            service.db.change(claims.insert().values(of_it | {"id": ids["claim"]}))
     return ids  # type: ignore[return-value]
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -15,23 +13,11 @@ from service.client import Client
 from service.core import Service
 from service.db.schema import audit, webhooks
 from service.jobs.port import Job, State
-from service.settings import Settings
 from service.trust import webhook_secrets as registry
 from tests.service.api.conftest import Api, _api
 from tests.service.api.test_lists import tenant_of
 
 HOOK = {"url": "https://studio.example/hook?token=7", "events": ["job.ended"]}
-
-
-@pytest.fixture
-def set_up(api: Api, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Serve `api` under other settings."""
-
-    def under(**settings: Any) -> None:
-        plain = api.service.settings.model_dump() | {"master_key": None} | settings
-        monkeypatch.setattr(api.client.app.state, "service", replace(api.service, settings=Settings(**plain)))  # type: ignore[attr-defined]
-
-    return under
 
 
 def test_a_webhook(service: Service, api: Api) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -130,3 +131,15 @@ def picture(shade: int) -> bytes:
 
 
 PICTURES = {name: picture(shade) for shade, name in enumerate(("asset", "difference", "heatmap", "suspect"))}
+
+
+def edit(*path: str | int, to: Any) -> Callable[[dict[str, Any]], None]:
+    """A change of a document: another value at a place."""
+
+    def change(document: dict[str, Any]) -> None:
+        place: Any = document
+        for step in path[:-1]:
+            place = place[step]
+        place[path[-1]] = to
+
+    return change

@@ -21,7 +21,7 @@ from service.trust import audit
 from service.trust.canonical import canonical, digest
 from service.trust.commitments import ACQUISITION_MADE, acquisition_facts, forget
 from tests.records.test_timestamps import Authority
-from tests.service.claims.cases import reply, verify_job
+from tests.service.claims.cases import edit, reply, verify_job
 from tests.service.claims.conftest import Registry
 
 SUSPECT = "12" * 32
@@ -104,28 +104,18 @@ def test_the_rate_and_the_conditions_stay(registry: Registry, authority: Authori
         assert document[name] == plain[name]
 
 
-def put(*path: str | int, to: Any) -> Callable[[dict[str, Any]], None]:
-    def change(document: dict[str, Any]) -> None:
-        place: Any = document
-        for step in path[:-1]:
-            place = place[step]
-        place[path[-1]] = to
-
-    return change
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        put("acquisition", "url", to="https://else.example/"),
-        put("acquisition", "at", to="2020-01-01T00:00:00.000000+00:00"),
-        put("acquisition", "warc_sha256", to="56" * 32),
-        put("acquisition", to=None),
-        put("audit", "acquisition", to=None),
-        put("audit", "acquisition", "proof", to=[]),
-        put("audit", "acquisition", "entry", "index", to=10**6),
-        put("acquisition", "timestamp", to=base64.b64encode(b"no stamp").decode()),
-        put("acquisition", "timestamp", to="AAA"),
+        edit("acquisition", "url", to="https://else.example/"),
+        edit("acquisition", "at", to="2020-01-01T00:00:00.000000+00:00"),
+        edit("acquisition", "warc_sha256", to="56" * 32),
+        edit("acquisition", to=None),
+        edit("audit", "acquisition", to=None),
+        edit("audit", "acquisition", "proof", to=[]),
+        edit("audit", "acquisition", "entry", "index", to=10**6),
+        edit("acquisition", "timestamp", to=base64.b64encode(b"no stamp").decode()),
+        edit("acquisition", "timestamp", to="AAA"),
     ],
 )
 def test_what_was_changed_is_found(registry: Registry, change: Callable[[dict[str, Any]], None]) -> None:

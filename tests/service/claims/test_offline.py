@@ -28,7 +28,7 @@ from service.cli import verify_report as command
 from service.trust import signing
 from service.trust.canonical import canonical
 from service.trust.commitments import claim_digest
-from tests.service.claims.cases import ATTESTED, AUTHORITY, KINDS, PICTURES, VOUCHING, nothing, reply
+from tests.service.claims.cases import ATTESTED, AUTHORITY, KINDS, PICTURES, VOUCHING, edit, nothing, reply
 from tests.service.claims.conftest import Registry
 
 Document = dict[str, Any]
@@ -170,16 +170,6 @@ def test_rubbish_is_refused_in_words(registry: Registry, data: bytes) -> None:
     found = verify_report(data, registry.jwks)
     assert failed(found) in (["readable"], ["signature"])
     assert found.checks[0].text
-
-
-def edit(*path: str | int, to: Any) -> Callable[[Document], None]:
-    def change(document: Document) -> None:
-        place: Any = document
-        for step in path[:-1]:
-            place = place[step]
-        place[path[-1]] = to
-
-    return change
 
 
 def relog(document: Document) -> None:

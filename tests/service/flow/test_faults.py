@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import pytest
 
 from tests.scenes import sparse_plant
 from tests.service import serving
+from tests.service.conftest import running_postgres
 from tests.service.flow.commands import Line
 from tests.service.postgres import Postgres
 from tests.service.serving import ROOT, Served
@@ -27,14 +27,7 @@ def admin(served: Served) -> Line:
     return Line(base_url=served.address, headers=served.headers, timeout=120)
 
 
-@pytest.fixture
-def postgres() -> Iterator[Postgres]:
-    try:
-        server = Postgres()
-    except Exception as error:
-        pytest.skip(f"PostgreSQL does not start here: {error}")
-    yield server
-    server.close()
+postgres = pytest.fixture(name="postgres")(running_postgres)
 
 
 @pytest.mark.long

@@ -15,8 +15,9 @@ from service.problems import Problem
 from service.trust import signing
 from service.trust.audit_check import verify_log
 from service.trust.canonical import canonical
-from service.trust.commitments import commit_asset, commit_claim, forget, registration_of
+from service.trust.commitments import commit_claim, forget, registration_of
 from service.trust.master import MasterKey
+from tests.service.rows import add_asset, put
 
 FILES = ("original", "model", "record", "preview", "sketch")
 
@@ -26,34 +27,23 @@ def blobs(tmp_path: Path) -> Blobs:
     return Blobs("", tmp_path / "blobs", tmp_path / "scratch")
 
 
-def put(blobs: Blobs, content: str) -> str:
-    with blobs.new_file() as path:
-        path.write_text(content)
-        return blobs.put(path)
-
-
 @pytest.fixture
 def filled(db: Database, master: MasterKey, blobs: Blobs) -> Database:
     """An asset "a" and a claim "c" about it, with files, and an upload."""
     signing.ensure_key(db, master)
-    row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {
-        "id": "a",
-        "tenant": "acme",
-        "gaussians": 5,
-    }
-    row |= {"id": "a", "tenant": "acme"} | {f"{name}_sha256": put(blobs, name) for name in FILES}
+    files = {f"{name}_sha256": put(blobs, name.encode()) for name in FILES}
+    add_asset(db, commit=True, id="a", tenant="acme", **files)
     with db.write() as connection:
-        connection.execute(assets.insert().values(row))
-        commit_asset(connection, row)
         document: dict[str, Any] = {"claim_id": "c", "asset": "a", "z": 1.0}
         document["audit"] = commit_claim(connection, "acme", document, registration_of(connection, "a"))
         payload = canonical(document)
         claim = {"id": "c", "tenant": "acme", "job": "j", "asset": "a", "document": payload.decode()}
-        claim |= {"pictures": canonical({"suspect": put(blobs, "picture")}).decode()}
+        claim |= {"pictures": canonical({"suspect": put(blobs, b"picture")}).decode()}
         claim |= {"jws": signing.sign(connection, master, payload), "created_at": "now"}
         connection.execute(claims.insert().values(claim))
         upload = {"id": "up", "tenant": "acme", "created_at": "now", "name": "", "parts": "[]", "state": "complete"}
-        connection.execute(uploads.insert().values(upload | {"sha256": put(blobs, "upload"), "received": 6, "size": 6}))
+        upload |= {"received": 6, "size": 6}
+        connection.execute(uploads.insert().values(upload | {"sha256": put(blobs, b"upload")}))
     return db
 
 
@@ -94,7 +84,7 @@ def test_a_whole_store_holds(filled: Database, blobs: Blobs) -> None:
 @pytest.mark.parametrize("what", [*FILES, "picture", "upload"])
 @pytest.mark.parametrize("how", ["missing", "damaged"])
 def test_a_file_that_is_missing_or_damaged_is_named(filled: Database, blobs: Blobs, what: str, how: str) -> None:
-    digest = put(blobs, what)
+    digest = put(blobs, what.encode())
     path = blobs.folder / blob_name(digest)  # type: ignore[operator]
     if how == "missing":
         path.unlink()

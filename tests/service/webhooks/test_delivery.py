@@ -16,7 +16,7 @@ from service.client import check_webhook
 from service.clock import ago, now
 from service.core import Service
 from service.db import Database
-from service.db.schema import assets, deliveries, jobs, webhooks
+from service.db.schema import deliveries, jobs, webhooks
 from service.embeds.watch import NO_TENANT, watch_flow
 from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, Run, State
@@ -24,6 +24,7 @@ from service.settings import Settings
 from service.trust import webhook_secrets as registry
 from service.trust.master import MasterKey
 from service.webhooks import delivery
+from tests.service.rows import add_asset
 from tests.service.webhooks.conftest import Receivers
 from tests.service.webhooks.receiver import Receiver, answer
 
@@ -109,9 +110,7 @@ def test_a_mark_that_was_found_is_told_to_those_who_asked_for_it(own: Service, r
     _, secret = add(own, receiver)
     name, _ = add(own, jobs_alone)
     own.db.change(sa.update(webhooks).where(webhooks.c.id == name).values(events="job.ended"))
-    with own.db.write() as connection:
-        row = dict.fromkeys((column.name for column in assets.columns), "x") | {"id": "as_1", "tenant": "acme"}
-        connection.execute(assets.insert().values(row | {"gaussians": 1}))
+    add_asset(own.db, tenant="acme")
     found = {"asset": "as_1", "z": 99.0, "log10_false_claim": -2000.0, "copy_z": None, "copy_named": None}
     job = Job("watch_as_2", NO_TENANT, "", "watch", State.RUNNING, {"asset": "as_2"})
     for _ in range(2):

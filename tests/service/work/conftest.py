@@ -7,8 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from engine.flows.views.camera_rig import make_rig
+from engine.formats import read_model
+from engine.model import Float32
+from engine.raster import render
+from engine.usecases.files import write_picture
 from service.work.tasks import TASKS
 from tests.scenes import sparse_plant
 
@@ -64,6 +70,17 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
     stages: list[tuple[str, float]] = []
     reply = TASKS["embed"](request, folder, lambda stage, fraction: stages.append((stage, fraction)))
     return Marked(folder, original, reply, stages)
+
+
+def shot_of(
+    marked: Marked, folder: Path, behind: float = 0.0, change: Callable[[Float32], Float32] = lambda image: image
+) -> Path:
+    """A JPEG of the marked model from a camera of its own, before a grey, changed before it is stored."""
+    model = read_model(marked.path("model")).model
+    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
+    path = folder / "shot.jpg"
+    write_picture(change(np.clip(render(model, camera, behind), 0, 1)), path, path, 85)
+    return path
 
 
 @pytest.fixture

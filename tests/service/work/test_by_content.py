@@ -13,21 +13,16 @@ from fastapi.testclient import TestClient
 
 from engine.credentials.manifest import ALG, embedded_manifest
 from engine.credentials.native import parse
-from engine.flows.views.camera_rig import make_rig
 from engine.formats import encode_model, read_model
 from engine.formats.gltf.metadata import read_metadata
-from engine.raster import render
-from engine.usecases.files import write_picture
 from service.app import make_app
 from service.core import Service
-from service.db.schema import assets
 from service.settings import Settings
 from service.trust import audit
-from service.trust.commitments import commit_asset
 from tests.service.api.conftest import _api
 from tests.service.api.test_credentials import trial
-from tests.service.api.test_deleting import put
-from tests.service.work.conftest import FOREIGN, Marked
+from tests.service.rows import add_asset, put
+from tests.service.work.conftest import FOREIGN, Marked, shot_of
 
 OWNER, ASSET, MODEL = "owner", "as_1", {"Content-Type": "model/vnd.unknown"}
 
@@ -37,13 +32,10 @@ def service(marked: Marked, tmp_path: Path) -> Iterator[Service]:
     """A service that signs, with the marked plant of an owner."""
     settings: Any = {"data_dir": tmp_path / "data", "public_url": "https://mark.example", "matches_per_hour": 8}
     made = Service.open(Settings(**settings, **trial(tmp_path / "acme", "Acme")))
-    row: dict[str, Any] = {column.name: "x" for column in assets.columns} | {"gaussians": 1, "report": "{}"}
-    row |= {"id": ASSET, "tenant": OWNER, "record_id": marked.reply["record_id"], "model_format": "ply"}
-    row |= {f"{name}_sha256": put(made, marked.path(name).read_bytes()) for name in ("model", "record", "sketch")}
-    row |= {"original_format": "splat", "original_sha256": put(made, marked.original.read_bytes())}
-    with made.db.write() as connection:
-        connection.execute(assets.insert().values(row))
-        commit_asset(connection, row)
+    row = {"id": ASSET, "tenant": OWNER, "record_id": marked.reply["record_id"], "model_format": "ply"}
+    row |= {f"{name}_sha256": put(made.blobs, marked.path(name).read_bytes()) for name in ("model", "record", "sketch")}
+    row |= {"original_format": "splat", "original_sha256": put(made.blobs, marked.original.read_bytes())}
+    add_asset(made.db, commit=True, **row)
     yield made
     made.close()
 
@@ -83,11 +75,7 @@ def cropped(marked: Marked) -> bytes:
 @pytest.fixture(scope="module")
 def shot(marked: Marked, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A JPEG of the marked model from a camera of its own."""
-    path = tmp_path_factory.mktemp("shot") / "shot.jpg"
-    model = read_model(marked.path("model")).model
-    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
-    write_picture(np.clip(render(model, camera), 0, 1), path, path, 85)
-    return path.read_bytes()
+    return shot_of(marked, tmp_path_factory.mktemp("shot")).read_bytes()
 
 
 def test_a_stripped_model_and_a_picture_find_the_manifest(

@@ -10,14 +10,12 @@ from PIL import Image
 
 from engine.flows.embed.copy_mark import mark_again
 from engine.flows.records.opened_record import open_record
-from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
 from engine.raster import render
-from engine.usecases.files import write_picture
 from engine.watermark.keys import OwnerKey
 from service.work.pictures import EVIDENCE_SIZE, SUSPECT_GAIN, choose_view
-from tests.service.work.conftest import FOREIGN, KEY, Ask, Marked
+from tests.service.work.conftest import FOREIGN, KEY, Ask, Marked, shot_of
 
 
 def drawn(folder: Path, name: str) -> np.ndarray:
@@ -64,11 +62,7 @@ def test_no_picture_shows_the_unmarked_model(verify: Ask, marked: Marked, tmp_pa
 @pytest.mark.parametrize("turned", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_screenshot_lies_over_the_asset(verify: Ask, marked: Marked, tmp_path: Path, turned: bool) -> None:
     """Over another background, cut, and turned over left to right."""
-    model = read_model(marked.path("model")).model
-    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
-    image = np.clip(render(model, camera, 0.35), 0, 1)
-    shot = tmp_path / "shot.jpg"
-    write_picture(np.ascontiguousarray(image[60:, ::-1]) if turned else image, shot, shot, 85)
+    shot = shot_of(marked, tmp_path, 0.35, lambda image: np.ascontiguousarray(image[60:, ::-1]) if turned else image)
     empty = tmp_path / "empty.png"
     Image.new("RGB", (90, 90), (90, 120, 60)).save(empty)
     assert "difference" in verify(images=[str(empty), str(shot)])["files"]

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from engine.catalogue.entry import Entry
-from engine.flows.views.camera_rig import make_rig
-from engine.formats import read_model
 from engine.lab.evaluate.strangers import make_stranger
-from engine.raster import render
 from engine.registration.sketch import make_sketch
-from engine.usecases.files import write_picture
 from service.work.tasks import TASKS
-from tests.service.work.conftest import FOREIGN, Marked, silent
+from tests.service.work.conftest import FOREIGN, Marked, shot_of, silent
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +65,12 @@ def test_a_kept_index_says_the_same_and_grows(marked: Marked, entries: dict[str,
 def test_a_picture_finds_its_asset_and_one_without_landmarks_is_not_ruled_out(
     marked: Marked, entries: dict[str, str], tmp_path: Path
 ) -> None:
-    model = read_model(marked.path("model")).model
-    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
-    shot = tmp_path / "shot.jpg"
-    write_picture(np.clip(render(model, camera), 0, 1), shot, shot, 85)
-    found = ask("screen", tmp_path, images=[str(shot)], catalogue="", entries=entries, among=["one", "two", "plant"])
+    found = ask(
+        "screen",
+        tmp_path,
+        images=[str(shot_of(marked, tmp_path))],
+        catalogue="",
+        entries=entries,
+        among=["one", "two", "plant"],
+    )
     assert (found["alike"], found["unknown"]) == (["plant"], ["two"])

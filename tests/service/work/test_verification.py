@@ -9,16 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
-from engine.raster import render
-from engine.usecases.files import write_picture
 from service.problems import Problem
 from service.work import verification
 from tests.service.claims.cases import reply as reply_of
 from tests.service.claims.test_searched import unrelated
-from tests.service.work.conftest import FOREIGN, Ask, Marked, checks
+from tests.service.work.conftest import FOREIGN, Ask, Marked, checks, shot_of
 
 
 def five(reply: dict[str, Any]) -> list[bool | None]:
@@ -130,11 +127,7 @@ def test_without_candidates_there_is_nothing_to_say(verify: Ask) -> None:
 
 
 def test_a_screenshot_from_an_unknown_camera(verify: Ask, marked: Marked, tmp_path: Path) -> None:
-    model = read_model(marked.path("model")).model
-    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
-    shot = tmp_path / "shot.jpg"
-    write_picture(np.clip(render(model, camera), 0, 1), shot, shot, 85)
-    reply = verify(images=[str(shot)])
+    reply = verify(images=[str(shot_of(marked, tmp_path))])
     assert reply["claim"]["verdict"] == "marked"
     assert reply["subject"] == {"format": "pictures", "gaussians": None, "pictures": 1}
     assert set(checks(reply).values()) == {True}

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from engine.formats import read_model
-from engine.lab.sim.physics.body import assemble
-from engine.lab.sim.physics.world import Plane, World
+from engine.lab.sim.physics.body import Body, Material, assemble, make_body
+from engine.lab.sim.physics.world import Plane, World, step
 from engine.model import Float64, GaussianModel
 
-DATA = Path(__file__).parents[3] / "data"
+NOWHERE = np.zeros(3)
+UNDAMPED = Material(viscosity=0.0)
 
 
 @pytest.fixture(scope="session")
@@ -36,9 +34,19 @@ def ball() -> GaussianModel:
     )
 
 
-@pytest.fixture(scope="session")
-def plant() -> GaussianModel:
-    return read_model(DATA / "plant.splat").model
+@pytest.fixture(scope="module")
+def body(ball: GaussianModel) -> Body:
+    return make_body(ball, resolution=5, material=UNDAMPED)
+
+
+def run(world: World, steps: int) -> World:
+    for _ in range(steps):
+        world = step(world)
+    return world
+
+
+def center(body: Body) -> Float64:
+    return np.asarray(body.masses @ body.positions / body.masses.sum())
 
 
 def momentum(world: World) -> Float64:

@@ -10,25 +10,7 @@ import pytest
 from engine.lab.sim.physics.body import Body, Material, make_body, strain_norms
 from engine.lab.sim.physics.world import Plane, Sphere, World, energy, step
 from engine.model import GaussianModel
-from tests.lab.sim.physics.conftest import angular_momentum, ground, momentum
-
-NOWHERE = np.zeros(3)
-UNDAMPED = Material(viscosity=0.0)
-
-
-@pytest.fixture(scope="module")
-def body(ball: GaussianModel) -> Body:
-    return make_body(ball, resolution=5, material=Material(viscosity=0.0))
-
-
-def run(world: World, steps: int) -> World:
-    for _ in range(steps):
-        world = step(world)
-    return world
-
-
-def center(body: Body) -> np.ndarray:
-    return np.asarray(body.masses @ body.positions / body.masses.sum())
+from tests.lab.sim.physics.conftest import NOWHERE, UNDAMPED, angular_momentum, center, ground, momentum, run
 
 
 def test_a_body_comes_to_rest_on_the_ground(body: Body) -> None:

@@ -11,26 +11,8 @@ from engine.errors import InputError
 from engine.lab.sim.physics.body import Body, Material, deformation_gradients, make_body, pose, strain_norms
 from engine.lab.sim.physics.world import Plane, Sphere, World, energy, step
 from engine.model import GaussianModel
-from tests.lab.sim.physics.conftest import angular_momentum, ground, momentum
+from tests.lab.sim.physics.conftest import NOWHERE, UNDAMPED, angular_momentum, center, ground, momentum, run
 from tests.threads import with_one_and_two_threads
-
-NOWHERE = np.zeros(3)
-UNDAMPED = Material(viscosity=0.0)
-
-
-@pytest.fixture(scope="module")
-def body(ball: GaussianModel) -> Body:
-    return make_body(ball, resolution=5, material=UNDAMPED)
-
-
-def run(world: World, steps: int) -> World:
-    for _ in range(steps):
-        world = step(world)
-    return world
-
-
-def center(body: Body) -> np.ndarray:
-    return np.asarray(body.masses @ body.positions / body.masses.sum())
 
 
 def excited(body: Body) -> Body:

@@ -9,10 +9,8 @@ from engine.scenes.spacetime import SpacetimeModel
 from tests.reference.spacetime import gaussian_at
 
 
-@pytest.fixture
-def few() -> SpacetimeModel:
-    rng = np.random.default_rng(0)
-    n = 40
+def random_clip(n: int, seed: int) -> SpacetimeModel:
+    rng = np.random.default_rng(seed)
     return SpacetimeModel(
         rng.standard_normal((n, 3)),
         rng.uniform(-5, -2, (n, 3)),
@@ -24,6 +22,11 @@ def few() -> SpacetimeModel:
         rng.standard_normal((n, 9)),
         rng.standard_normal((n, 4)),
     )
+
+
+@pytest.fixture
+def few() -> SpacetimeModel:
+    return random_clip(40, 0)
 
 
 @pytest.mark.parametrize("time", [0.0, 0.37, 1.0])

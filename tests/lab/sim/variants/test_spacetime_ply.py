@@ -6,6 +6,7 @@ import pytest
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.scenes.spacetime import SpacetimeModel
 from engine.scenes.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
+from tests.lab.sim.variants.test_spacetime import random_clip
 
 PUBLIC_ORDER = [
     "x",
@@ -37,19 +38,7 @@ PUBLIC_ORDER = [
 
 @pytest.fixture
 def model() -> SpacetimeModel:
-    rng = np.random.default_rng(3)
-    n = 6
-    return SpacetimeModel(
-        rng.standard_normal((n, 3)),
-        rng.uniform(-5, -2, (n, 3)),
-        2 * rng.standard_normal((n, 4)),
-        rng.standard_normal(n),
-        rng.uniform(0, 1, (n, 3)),
-        rng.uniform(0, 1, n),
-        rng.uniform(-4, 1, n),
-        rng.standard_normal((n, 9)),
-        rng.standard_normal((n, 4)),
-    )
+    return random_clip(6, 3)
 
 
 @pytest.fixture
