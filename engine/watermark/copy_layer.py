@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Bool, Float64, Int32, Int64
+from engine.model import Bool, Float32, Float64, Int32, Int64
 from engine.watermark.code_shares import combined
 from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.layout import Layout
@@ -51,6 +51,12 @@ class CopyLayer:
         if kept is not None:
             grain = grain.of(np.repeat(kept, ATTRIBUTES))
         return tint.then(grain)
+
+    def displacements(self, values: Float64) -> tuple[Float32, Float64 | None]:
+        """What chips of these values displace colors (N, D) by, and centers and sizes (6 N,), None without a grain."""
+        tint, grain = np.split(values, [self.layout.chips])
+        shift = self.layout.displace(self.layout.amplitudes * tint)
+        return shift, self.grain.displacements(grain) if self.grain.there else None
 
 
 def without_owner(found: Residual, owner: Float64) -> Residual:

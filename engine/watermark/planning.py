@@ -33,7 +33,7 @@ class PlanConfig:
     # Displacement grows with this power of a patch's texture (0: not at all). SSIM forgives texture.
     texture_exponent: float = 0.5
     balance_rounds: int = 12  # rounds that even out the mark's energy over the key views
-    # A DC value that a larger share of the Gaussians have is not moved (see `masses`); 1 moves all
+    # A DC value that a larger share of the Gaussians have is not moved (see `find_masses`); 1 moves all
     mass_share: float = 0.02
     # The second layer: how far a centre moves, in its Gaussian's own size, and a log scale; 0 leaves it out. Less where
     # that would show (see `layer_strengths`)

@@ -20,9 +20,8 @@ from engine.records.header import Arrays
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
 from engine.watermark.lattice import FREE, Lattices, find_lattices
-from engine.watermark.masses import find_masses
 from engine.watermark.planning import Plan, make_plan
-from engine.watermark.secret_cells import COPIES, OWNER, cells_key, jitter, join_cells, multiples
+from engine.watermark.secret_cells import COPIES, OWNER, cells_key, find_masses, jitter, join_cells, multiples
 from engine.watermark.unpredictability import unexplained
 
 __all__ = ["Draft"]

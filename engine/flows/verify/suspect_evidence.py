@@ -45,7 +45,7 @@ from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render
 from engine.registration.registration_search import Registration
 from engine.registration.visibility import only_drawn
-from engine.watermark.derivation import NOT_FOUND, Derivation
+from engine.watermark.claim import NOT_FOUND, Derivation
 from engine.watermark.image_evidence import PictureEvidence, gather_again
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.picture_agreement import Together
@@ -372,7 +372,7 @@ def read_pictures(
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
     far = cache(lambda: far_views(opened.reference))
-    bank = cache(lambda: _bank_views(opened))
+    bank = cache(lambda: [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
             break
@@ -418,11 +418,6 @@ def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
         yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
     if read.change is not None:
         yield _washed(f"picture {number + 1} looks like one of", read.change)
-
-
-def _bank_views(opened: OpenedRecord) -> list[Camera]:
-    """Where the record's landmarks were seen from."""
-    return [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference)
 
 
 def _find(

@@ -69,17 +69,17 @@ def steps_of(work: Work) -> dict[str, Step]:
 def _embedding() -> None:
     labels = split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
     group_means(np.eye(8, 6, dtype=np.float32), labels, np.ones(8))
-    _roughen(8)
+    _roughen()
     learn_palette(np.arange(48.0, dtype=np.float32).reshape(16, 3), 4)
     learn_codebook(np.arange(600.0), levels=4)
     picture = np.eye(16, dtype=np.float32)
     ssim(picture, picture)
 
 
-def _roughen(n: int) -> None:
-    ones = np.ones((n, 4), dtype=np.float32)
+def _roughen() -> None:
+    ones = np.ones((8, 4), dtype=np.float32)
     model = GaussianModel(ones[:, :3], ones[:, :3], ones, ones[:, 0], ones[:, None, :3])
-    roughen(model, Grain(0.1, 0.1), np.ones((n, ATTRIBUTES), dtype=np.float32))
+    roughen(model, Grain(0.1, 0.1), np.ones((8, ATTRIBUTES), dtype=np.float32))
 
 
 def _registration() -> None:
@@ -136,7 +136,7 @@ def _alignment() -> None:
     search_views(FarViews(model, [camera]).views, PictureEdges.of(seen), 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
-    _roughen(8)
+    _roughen()
     drawn = raster.draw(model, camera)
     GrainView(drawn, Grain(0.1, 0.1)).pull(drawn.view, seen)
 
