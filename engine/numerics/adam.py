@@ -1,8 +1,6 @@
 """Adam (Kingma and Ba, 2015) on whole arrays, one pass over memory, nothing allocated."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class AdamMoments:
     second: Float32
 
     @classmethod
-    def zeros(cls, parameter: Float32) -> AdamMoments:
+    def zeros(cls, parameter: Float32) -> "AdamMoments":
         """Before the first step."""
         return cls(np.zeros_like(parameter), np.zeros_like(parameter))
 

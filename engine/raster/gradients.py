@@ -1,7 +1,5 @@
 """Gradients of an image with respect to everything: Gaussians, colours or SH, and the camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +53,7 @@ class Gradients:
     K: Float64  # fx, fy, cx, cy, 0 elsewhere
 
     @classmethod
-    def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
+    def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> "Gradients":
         """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
         n = len(model)
         shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}

@@ -11,8 +11,6 @@ ladder of sizes.
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

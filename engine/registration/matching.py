@@ -7,8 +7,6 @@ error, and these errors are learnt from the matches. No secret of the mark enter
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,7 +70,7 @@ class Deviations:
         """Whether sizes are off by more than any trade format's rounding, so that noise was added to all."""
         return bool(self.size.max() > 0.08)
 
-    def much_above(self, other: Deviations, factor: float) -> bool:
+    def much_above(self, other: "Deviations", factor: float) -> bool:
         """Whether some error is more than `factor` times that of `other`."""
         mine = np.append(self.sigmas, self.rotation)
         theirs = np.append(other.sigmas, other.rotation)

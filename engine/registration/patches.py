@@ -12,8 +12,6 @@ as one affine map says, are no accident.
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -5,8 +5,6 @@ copies share, on top of the owner's layer, which is in all copies. So k copies g
 however they are put together, what is left carries the owner's layer and the mean of their own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +26,7 @@ class CopyLayer:
     layout: Layout
     grain: Grain
 
-    def at(self, rows: Int64 | Int32) -> CopyLayer:
+    def at(self, rows: Int64 | Int32) -> "CopyLayer":
         """Of these Gaussians alone."""
         return replace(self, layout=self.layout.at(rows))
 

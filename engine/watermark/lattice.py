@@ -12,8 +12,6 @@ Lattices are found in the values themselves, column by column, since a file does
 - *segments*: even steps that change from some row to the next, where such files were cropped or several were merged.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

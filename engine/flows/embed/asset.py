@@ -3,8 +3,6 @@
 A buyer's copy differs by its copy layer alone: message, cells and the owner's layer are the asset's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

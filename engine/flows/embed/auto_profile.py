@@ -9,8 +9,6 @@ Where the owner allows a loss (a pruning budget), every way of spending it (`way
 first. `mark3dgs evaluate --suite promises` holds every promise against what pictures show.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import time
@@ -175,7 +173,7 @@ class Choice:
         """
         return self.rehearsal.predicted_z >= self.wanted_z
 
-    def report(self) -> ChoiceReport:
+    def report(self) -> "ChoiceReport":
         """The choice in plain values."""
         config, found = self.config, self.rehearsal
         return ChoiceReport(

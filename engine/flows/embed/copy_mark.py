@@ -6,8 +6,6 @@
    own would give its values away to anyone who compares copies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -52,7 +50,7 @@ class Committed:
     draws: Draws | None = None  # by whom a part of each plan is drawn
     stamps: tuple[bytes, ...] = ()  # time stamps by which it was, of the plans so far; the last is this one's
 
-    def drawn_for(self, key: OwnerKey, model: GaussianModel, settled: Settled) -> Committed:
+    def drawn_for(self, key: OwnerKey, model: GaussianModel, settled: Settled) -> "Committed":
         """With what is drawn for this plan, in place of what was for another."""
         if self.draws is None:
             return self

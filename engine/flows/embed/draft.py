@@ -3,8 +3,6 @@
 `auto_profile` rehearses drafts; the embedding goes on from the one that was chosen, so nothing is planned twice.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """What is drawn for the plans of one asset (`flows.records.draw`), one draw for all of its copies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

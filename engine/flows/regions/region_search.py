@@ -8,8 +8,6 @@
 The claim stays what it was: nothing here enters it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -7,8 +7,6 @@
 4. The answer that says most stands first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby

@@ -4,8 +4,6 @@ They have the reference in common, and so where it lies and what every Gaussian 
 their copy layer, too. Before, cells, chips and amplitudes were each copy's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

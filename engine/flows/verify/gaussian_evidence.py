@@ -4,8 +4,6 @@ renders and pictures, and for all that reads them.
 Of the copy layer there is one reading for all copies of an asset, blind to the chips of each.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

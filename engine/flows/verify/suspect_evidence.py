@@ -4,8 +4,6 @@ Of the copy layer there is one reading for all copies of an asset, blind to the 
 known to the reader, and taken off first: signs of one layer are fair whatever the other's are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -85,7 +83,7 @@ class _Laid:
             return self.view.read(image, self.mask, self.behind.through)
         return self.view.read(self.alignment.warped, self.mask)
 
-    def washed(self) -> _Laid:
+    def washed(self) -> "_Laid":
         """The picture over the reference with its colors changed, where those of the picture's model were."""
         reference = self.view.of.changed_as(self.view, self.alignment.warped, self.mask)
         if reference is None:

@@ -19,8 +19,6 @@ far as the washing left it.
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property

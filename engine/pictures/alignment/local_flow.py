@@ -11,8 +11,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

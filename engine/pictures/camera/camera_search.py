@@ -21,8 +21,6 @@ A picture of another scene fails at the correlation with the render, or at the c
 (`Refined.alike`). Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

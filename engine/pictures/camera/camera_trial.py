@@ -1,7 +1,5 @@
 """A picture compared with renders of a model: how well a camera explains it, and refinement of the camera."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

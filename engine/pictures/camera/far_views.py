@@ -3,8 +3,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 

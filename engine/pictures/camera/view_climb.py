@@ -7,8 +7,6 @@ converges. Outlines, edges and colors change with every step; most starts are dr
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

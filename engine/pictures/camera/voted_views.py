@@ -5,8 +5,6 @@ next nearest. Votes for a view count if one similarity maps their keypoints to w
 right ones among a thousand are enough.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ The picture may be another renderer's, whose error is as large as the steps: it 
 around each block, beside the rounding that follows from the reference. Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +39,7 @@ class CodedChroma:
     whole: Bool  # (2, by, bx, 8, 8) those in blocks that carry evidence, and on a multiple
 
     @classmethod
-    def of(cls, picture: Float32, mask: Bool, pattern: Float32, quality: int) -> CodedChroma | None:
+    def of(cls, picture: Float32, mask: Bool, pattern: Float32, quality: int) -> "CodedChroma | None":
         """What a coder stored of a picture (H, W, 3), 0..1, whose luma it saved at a quality, in blocks that begin at
         the corner; None where no halves on that quality's steps explain the chroma.
 

@@ -5,8 +5,6 @@ SIFT histogram, scaled to length 512. Products of such integers are exact in flo
 product and gives the same answer on every machine.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,7 +34,7 @@ class Keypoints:
     def __len__(self) -> int:
         return len(self.points)
 
-    def turned_over(self, width: float) -> Keypoints:
+    def turned_over(self, width: float) -> "Keypoints":
         """Those of the image turned over left to right, `width` pixels wide, to within what rounding makes of it.
 
         A descriptor is four rows and four columns along the keypoint's own direction, of eight directions relative to
