@@ -3,8 +3,6 @@
 import os
 import sys
 
-__all__ = ["module_command", "usable_cores"]
-
 
 def usable_cores() -> int:
     """Those that this process may run on."""

@@ -19,8 +19,6 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 from engine.kernels.machine import usable_cores
 
-__all__ = ["run_turns", "thread_count", "use_threads"]
-
 _own = threading.local()
 
 

@@ -10,9 +10,6 @@ from engine.errors import InputError
 from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32
 
-__all__ = ["AdamMoments", "adam_step"]
-
-
 _BLOCK = 1 << 14
 _BETA1, _BETA2 = 0.9, 0.999
 _EPSILON = 1e-15

@@ -18,8 +18,6 @@ from engine.raster.spherical_harmonics import sh_colors
 from engine.raster.view import View, prepare_view
 from engine.raster.workspace import Workspace, borrow_workspace
 
-__all__ = ["Gradients", "Rendering", "backward", "draw"]
-
 _NONE = np.zeros(0, dtype=np.float32)
 
 

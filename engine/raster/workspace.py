@@ -16,8 +16,6 @@ from engine.kernels.thread_crew import thread_count
 from engine.raster.lane_memory import aligned
 from engine.raster.tiles import ITEMS
 
-__all__ = ["Workspace", "borrow_workspace", "release_memory"]
-
 _KEPT = 2
 _MOST = 512 << 20
 """Bytes of a workspace above which it is not kept: to fill fresh memory then costs little next to what fills it."""

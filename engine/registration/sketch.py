@@ -30,8 +30,6 @@ from engine.registration.match_kernels import Pairs, degrees_of_agreement
 from engine.registration.similarity_search import turns
 from engine.registration.visibility import only_drawn
 
-__all__ = ["LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
-
 _CONFIG = CONFIG.sketch
 _BUCKETS = 1 << 20
 _MIX = np.array([73856093, 19349663, 83492791, 49979687, 67867979, 32452843], dtype=np.int32)

@@ -16,8 +16,6 @@ from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence, Residual
 from engine.watermark.spreading import Spreading, spread_copy
 
-__all__ = ["CopyLayer", "without_owner"]
-
 
 @dataclass(frozen=True, eq=False)
 class CopyLayer:

@@ -25,8 +25,6 @@ from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.record import Record
 from engine.watermark.messages import derive_message
 
-__all__ = ["Asset", "bank_of", "known_landmarks"]
-
 
 @dataclass(frozen=True, eq=False)
 class Asset:

@@ -22,8 +22,6 @@ from engine.watermark.planning import Plan, make_plan
 from engine.watermark.secret_cells import COPIES, OWNER, cells_key, find_masses, jitter, join_cells, multiples
 from engine.watermark.unpredictability import unexplained
 
-__all__ = ["Draft"]
-
 
 @dataclass(frozen=True, eq=False)
 class Draft:

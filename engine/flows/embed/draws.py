@@ -8,8 +8,6 @@ from engine.flows.records.draw import DRAWN, draw_request, stamps_in, terms_of
 from engine.records.record import Plan, Record
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["SECOND_WATERMARK", "Draws", "Stamp", "is_copy_of", "second_watermark", "shares_layer"]
-
 Stamp = Callable[[bytes], bytes]
 """Asks a time-stamping service for a stamp (reply, DER) of these bytes, and raises where there is none."""
 

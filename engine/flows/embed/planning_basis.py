@@ -25,8 +25,6 @@ from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.keys import POSE, OwnerKey, uniform
 
-__all__ = ["Groundwork", "lay_groundwork"]
-
 
 @dataclass(frozen=True, eq=False)
 class Groundwork:

@@ -25,8 +25,6 @@ from engine.watermark.keys import OwnerKey
 if TYPE_CHECKING:
     from cryptography import x509
 
-__all__ = ["DRAWN", "STAMPS", "Draw", "draw_request", "shared_values", "stamps_extra", "stamps_in", "terms_of"]
-
 DRAWN = "drawn"
 """Name of the commitment to what was drawn. In records without a stamp a service drew it by itself, and could have
 tried records out."""

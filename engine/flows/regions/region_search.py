@@ -28,8 +28,6 @@ from engine.watermark.model_evidence import Evidence
 from engine.watermark.regions import Partition, RegionConfig, Regions, State, divide, judge_regions
 from engine.watermark.statistics import log10_false_claim_bound
 
-__all__ = ["FoundPiece", "RegionReport", "locate_mark"]
-
 
 @dataclass(frozen=True, eq=False)
 class FoundPiece:

@@ -21,8 +21,6 @@ from engine.flows.verify.search import Answer, Suspect, Verification, count_trie
 from engine.numerics.blas import one_blas_thread
 from engine.watermark.claim import Claim, Verdict
 
-__all__ = ["Candidate", "Outcome", "Search", "search"]
-
 
 class Candidate(Protocol):
     """A record that may explain a suspect."""

@@ -16,8 +16,6 @@ from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual
 
-__all__ = ["CONFIG", "Copies", "TraceConfig", "asset_of"]
-
 
 @dataclass(frozen=True)
 class TraceConfig:

@@ -24,8 +24,6 @@ from engine.watermark.layers import layered_z
 from engine.watermark.rates import BASES, AppliedRate
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
 
-__all__ = ["CopyFinding", "Tracing", "count_copy_tries", "judge_copy", "trace", "trace_images", "trace_model"]
-
 SIGNS = 2
 """A copy's mark may show turned round."""
 

@@ -19,17 +19,6 @@ from engine.watermark.copy_layer import CopyLayer, grain_without_owner, without_
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
 
-__all__ = [
-    "compare_tint",
-    "copy_of_gaussians",
-    "derivation_of_model",
-    "duplicate_weights",
-    "read_gaussians",
-    "read_grain",
-    "read_layers",
-    "read_tint",
-]
-
 _CONFIG = CONFIG.evidence
 
 

@@ -41,8 +41,6 @@ from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence
 
-__all__ = ["STEPS", "Step", "Work", "steps_of"]
-
 Work = Literal["embed", "model", "pictures", "main", "everything"]
 """Embedding; verifying a model; verifying pictures; these three; and with them discs."""
 

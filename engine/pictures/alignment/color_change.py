@@ -31,8 +31,6 @@ from engine.model import SH_C0, Bool, Float32, Float64, Int64
 from engine.pictures.alignment.config import CONFIG
 from engine.raster import View
 
-__all__ = ["Alike", "ColorChange", "ColorSmoothing", "Denoising", "Misfit", "Neighborhoods", "find_color_change"]
-
 _CONFIG = CONFIG.color_change
 
 

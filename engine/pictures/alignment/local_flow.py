@@ -21,8 +21,6 @@ from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import predict_brightness
 from engine.pictures.landmarks.keypoints import luma
 
-__all__ = ["LocalAlignment", "align_locally"]
-
 _CONFIG = CONFIG.flow
 
 

@@ -26,8 +26,6 @@ from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
 
-__all__ = ["Candidate", "Candidates"]
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:

@@ -17,8 +17,6 @@ from engine.pictures.camera.pose_refinement import Drawing, Refined, refine_leve
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["Picture"]
-
 
 class Picture:
     """A picture (h, w, 3), 0..1, of which a model may be seen; `mirrored` means turned over left to right."""

@@ -15,8 +15,6 @@ from engine.pictures.camera.camera_motion import farther, swung
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 
-__all__ = ["FarViews", "merged_in_voxels"]
-
 _AXIS = 21
 """Bits that number the voxels of an axis."""
 

@@ -8,8 +8,6 @@ from engine.model import Camera, Float32
 from engine.pictures.camera.pixel_shape import PixelShape
 from engine.raster import RasterSettings
 
-__all__ = ["DEFAULT_SETTINGS", "FoundCamera"]
-
 DEFAULT_SETTINGS = RasterSettings()
 """How most viewers draw."""
 

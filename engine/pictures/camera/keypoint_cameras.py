@@ -21,8 +21,6 @@ from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render_depth
 
-__all__ = ["MatchedKeypoints", "NearRender", "Window", "keypoints_of", "match_closer", "match_near"]
-
 _CONFIG = CONFIG.keypoints
 
 

@@ -17,8 +17,6 @@ from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, gradient
 from engine.pictures.camera.view_scores import BINS, PAD, SIDE, look_again
 
-__all__ = ["PictureEdges", "apart", "stacked"]
-
 
 @dataclass(frozen=True, eq=False)
 class PictureEdges:

@@ -30,8 +30,6 @@ from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["Drawing", "Refined", "refine_level"]
-
 _CONFIG = CONFIG.refinement
 _UNKNOWNS = PARAMETERS + 2
 

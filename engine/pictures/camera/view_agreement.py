@@ -14,9 +14,6 @@ from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float64, Int64
 from engine.pictures.camera.config import CONFIG
 
-__all__ = ["agreement_of_views"]
-
-
 MOST = 64
 """Votes of a view that are looked at, the loudest: a mask of bits holds who was counted."""
 APART, TOLERANCE = CONFIG.votes.apart, CONFIG.votes.tolerance

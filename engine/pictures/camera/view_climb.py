@@ -21,8 +21,6 @@ from engine.pictures.camera.config import CONFIG, ClimbRound
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 
-__all__ = ["Climbed", "climb"]
-
 
 @dataclass(frozen=True, eq=False)
 class Climbed:

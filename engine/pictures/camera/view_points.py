@@ -13,8 +13,6 @@ from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_scores import spread_out
 from engine.raster import render_depth
 
-__all__ = ["ViewPoints", "describe_view", "gradient"]
-
 _CONFIG = CONFIG.edges
 
 

@@ -19,8 +19,6 @@ from engine.pictures.camera.picture_edges import PictureEdges, stacked
 from engine.pictures.camera.view_points import ViewPoints
 from engine.pictures.camera.view_scores import ROLLS, score_views
 
-__all__ = ["search_views"]
-
 _CONFIG = CONFIG.edges
 
 

@@ -18,8 +18,6 @@ from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 
-__all__ = ["VotedView", "vote_for_views"]
-
 _CONFIG = CONFIG.votes
 
 

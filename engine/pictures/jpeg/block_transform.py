@@ -5,8 +5,6 @@ import numpy.typing as npt
 
 from engine.model import Float64
 
-__all__ = ["inverse_transform", "transform"]
-
 _WAVES: Float64 = np.sqrt((1 + (np.arange(8) > 0)) / 8.0)[:, None] * np.cos(
     np.pi / 16.0 * np.outer(np.arange(8), 2 * np.arange(8) + 1)
 )

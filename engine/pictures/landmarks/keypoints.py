@@ -16,8 +16,6 @@ from engine.numerics.resampling import smooth
 from engine.numerics.wavelet import dwt2
 from engine.pictures.landmarks.config import CONFIG
 
-__all__ = ["LUMA", "Keypoints", "detect_keypoints", "luma", "match_within", "noise_level"]
-
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """Weights of R, G, B in brightness (BT.601, as JPEG)."""
 
