@@ -13,8 +13,7 @@ whatever the number of threads. The gather is a sixth of the pass (real scene, 5
 import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
-from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store
-from engine.raster.lane_sums import sum_rows
+from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store, sum_rows
 from engine.raster.lanes import fma, maximum, spread
 from engine.raster.settings import TILE
 from engine.raster.tiles import (

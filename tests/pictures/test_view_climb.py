@@ -14,9 +14,9 @@ from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.picture_edges import PictureEdges
-from engine.pictures.camera.view_climb import Climbed, _distinct, climb
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 from engine.pictures.camera.view_scores import SIDE
+from engine.pictures.camera.view_search import Climbed, _distinct, climb
 from engine.pictures.camera.voted_views import VotedView
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render_depth

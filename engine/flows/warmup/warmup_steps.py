@@ -26,8 +26,8 @@ from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.pose_refinement import refine_level
-from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.camera.view_search import search_views
+from engine.pictures.camera.voted_views import agreement_of_views
 from engine.pictures.jpeg.coded_blocks import find_quality
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks

@@ -16,8 +16,14 @@ import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.pictures.alignment.residual import OPPONENT
-from engine.pictures.jpeg.block_transform import inverse_transform, transform
-from engine.pictures.jpeg.coded_blocks import mark_spread, scaled_table, score_intervals, tiles
+from engine.pictures.jpeg.coded_blocks import (
+    inverse_transform,
+    mark_spread,
+    scaled_table,
+    score_intervals,
+    tiles,
+    transform,
+)
 from engine.pictures.jpeg.config import CONFIG
 
 __all__ = ["CodedChroma"]
