@@ -14,8 +14,6 @@ from pathlib import Path
 from engine.errors import Mark3DGSError
 from engine.kernels import kernel_cache
 
-__all__ = ["calls_native", "verdict"]
-
 BEFORE_NUMBA = (0, 69)
 """The first untested version of numba; `pyproject.toml` has the same bound."""
 SECONDS = 300.0

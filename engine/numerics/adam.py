@@ -87,17 +87,11 @@ def _update(parameter, gradient, first, second, row, head, rate, rate_rest, epsi
     rows = size // row
     for block in share_of((rows + rows_each - 1) // rows_each, call):
         for i in range(block * rows_each, min(rows, (block + 1) * rows_each)):
-            for k in range(i * row, i * row + head):
-                g = gradient[k]
-                m = b1 * first[k] + r1 * g
-                v = b2 * second[k] + r2 * g * g
-                first[k] = m
-                second[k] = v
-                parameter[k] -= rate * m / (np.sqrt(v) + epsilon)
-            for k in range(i * row + head, (i + 1) * row):
-                g = gradient[k]
-                m = b1 * first[k] + r1 * g
-                v = b2 * second[k] + r2 * g * g
-                first[k] = m
-                second[k] = v
-                parameter[k] -= rate_rest * m / (np.sqrt(v) + epsilon)
+            for begin, end, step in ((i * row, i * row + head, rate), (i * row + head, (i + 1) * row, rate_rest)):
+                for k in range(begin, end):
+                    g = gradient[k]
+                    m = b1 * first[k] + r1 * g
+                    v = b2 * second[k] + r2 * g * g
+                    first[k] = m
+                    second[k] = v
+                    parameter[k] -= step * m / (np.sqrt(v) + epsilon)

@@ -35,9 +35,6 @@ from engine.raster.tiles import (
     stage_batch,
 )
 
-__all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
-
-
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""
 

@@ -17,9 +17,6 @@ from engine.raster.moments import PAIR_NUMBERS
 from engine.raster.projection import affine_rows, covariance, log2_opacity, rotation, rows3, scale_lanes, unit_quats
 from engine.raster.sh_kernels import differentiate_group
 
-__all__ = ["CHUNK", "GRADIENT_SCRATCH", "chunks_of", "parameter_gradients"]
-
-
 CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""
 

@@ -14,9 +14,6 @@ from engine.raster.lane_memory import load, load_some, store, store_some, sum_ro
 from engine.raster.lane_order import unzip3, zip3
 from engine.raster.lanes import maximum, root, spread
 
-__all__ = ["SH_SCRATCH", "TURNED", "differentiate_group", "evaluate_sh", "set_direction", "sh_lanes", "store_colors"]
-
-
 SH_SCRATCH = 3 * 16 + 5 * 256
 """Floats of scratch a share needs: directions, basis, transposed basis, three blocks of products."""
 

@@ -15,8 +15,6 @@ from engine.raster.settings import EarlyStop, RasterSettings
 from engine.raster.spherical_harmonics import evaluate
 from engine.raster.workspace import Workspace, borrow_workspace
 
-__all__ = ["View", "blend_colors", "prepare_view", "render", "render_depth"]
-
 _WIDTHS = (1, 3, 4)
 """Numbers of channels that kernels are compiled for; two are padded to three, and more are not drawn at once."""
 

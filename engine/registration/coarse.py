@@ -23,8 +23,6 @@ from engine.registration.config import CONFIG
 from engine.registration.hypotheses import chance_table
 from engine.registration.match_kernels import Pairs, best_triples, evidence
 
-__all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
-
 _CONFIG = CONFIG.coarse
 FEATURES = 20
 """Of each of two scales: mean colour (3), spreads along the principal axes (3), distance of the centroid from the

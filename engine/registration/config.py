@@ -6,8 +6,6 @@ Numbers of Gaussians, of pairs and of rounds have no unit. An extent is the size
 import math
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "Agreement", "RegistrationConstants"]
-
 
 @dataclass(frozen=True)
 class Agreement:

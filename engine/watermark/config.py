@@ -6,8 +6,6 @@ tuning. z values and standard deviations have no unit.
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "WatermarkConfig"]
-
 
 @dataclass(frozen=True)
 class CellsConfig:

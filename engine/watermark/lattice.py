@@ -20,8 +20,6 @@ from engine.model import Bool, Float32, Float64, GaussianModel
 from engine.watermark.config import CONFIG
 from engine.watermark.keys import uniform
 
-__all__ = ["Lattices", "find_lattices"]
-
 _CONFIG = CONFIG.lattice
 CHUNK = 256
 """Rows of a chunk."""

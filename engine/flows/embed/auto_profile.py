@@ -38,8 +38,6 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.spreading import ONE_BIT, grain_key, spread, spread_grain
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, signed_z, z_threshold
 
-__all__ = ["Choice", "Rehearsal", "Rehearsing", "choose", "wanted_z", "ways"]
-
 _CONFIG, _REHEARSAL = CONFIG.auto, CONFIG.rehearsal
 REHEARSAL_SEED = 0x5EED
 PUBLIC_KEY = OwnerKey(hashlib.sha256(b"mark3dgs rehearsal: a key that everybody knows").digest())

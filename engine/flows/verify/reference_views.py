@@ -22,8 +22,6 @@ from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_
 from engine.watermark.spreading import public_signs
 from engine.watermark.unpredictability import public_misfit
 
-__all__ = ["ReferenceView", "ReferenceViews", "grain_view", "seen_shift"]
-
 OPAQUE = CONFIG.color_change.opaque
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
 """How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""

@@ -48,19 +48,6 @@ from engine.watermark.image_evidence import PictureEvidence, gather_again
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.picture_agreement import Together
 
-__all__ = [
-    "ReadPicture",
-    "Seen",
-    "copy_of_pictures",
-    "derivation_of_pictures",
-    "derivation_of_sight",
-    "far_views",
-    "read_found",
-    "read_known",
-    "read_pictures",
-    "read_renders",
-]
-
 _CONFIG = CONFIG.evidence
 
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["CONFIG", "CameraSearchConfig", "ClimbRound", "Level"]
-
 
 @dataclass(frozen=True)
 class Level:

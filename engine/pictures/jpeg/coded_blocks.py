@@ -26,8 +26,6 @@ from engine.pictures.alignment.tone_and_light import fit_colors
 from engine.pictures.jpeg.config import CONFIG
 from engine.pictures.landmarks.keypoints import LUMA
 
-__all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
-
 STANDARD_LUMA_TABLE = np.array(
     [
         [16, 11, 10, 16, 24, 40, 51, 61],

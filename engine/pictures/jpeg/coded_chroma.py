@@ -26,8 +26,6 @@ from engine.pictures.jpeg.coded_blocks import (
 )
 from engine.pictures.jpeg.config import CONFIG
 
-__all__ = ["CodedChroma"]
-
 STANDARD_CHROMA_TABLE = np.full((8, 8), 99.0)
 """ITU-T T.81, table K.2."""
 STANDARD_CHROMA_TABLE[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
