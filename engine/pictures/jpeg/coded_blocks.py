@@ -211,15 +211,11 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     total = np.sqrt(spread**2 + CONFIG.rounding**2 + _mismatch(observed, known, steps) ** 2)
     whole = np.asarray(tiles(mask).all(axis=(2, 3)))  # (by, bx)
     score = np.zeros_like(known)
-    score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
+    multiples = _multiples(observed[whole], known[whole], steps)
+    score[whole] = score_intervals(multiples, known[whole], steps, np.broadcast_to(total, known.shape)[whole])
     image = np.zeros(mask.shape, dtype=np.float32)
     tiles(image)[...] = inverse_transform(score)
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
-
-
-def _score(observed: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
-    """(B, 8, 8) of blocks: how much likelier each unit of colour makes what was stored, `total` the spread of it."""
-    return score_intervals(_multiples(observed, known, steps), known, steps, total)
 
 
 def score_intervals(k: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
