@@ -25,6 +25,8 @@ CHUNK = 256
 """Rows of a chunk."""
 CHUNK_LEVELS = (2047, 1023, 255)
 """Steps between the least and the largest value of a chunk."""
+ROUNDING = 16.0
+"""Spacings of floats at a column's largest value by which values lie beside their steps from arithmetic alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +149,13 @@ LEAST_MOVE = {"means": _GEOMETRY, "log_scales": _GEOMETRY, "dc": _CONFIG.least_m
 
 def _round(lattice: Lattice, before: Float32, after: Float32, dither: Float64, least: float) -> Float32:
     """(N,) values on a lattice; those that were moved by less than `least` steps, or are rounded to where they were,
-    stay bit for bit."""
+    stay bit for bit. What a value lies beside its step, beyond rounding, it keeps: else moved values would show."""
     wanted, home = lattice.places(after), np.rint(lattice.places(before))
     places = np.floor(wanted + dither)
     moved = (after != before) & (places != home) & (np.abs(wanted - home) >= least) & lattice.inside(home)
-    return np.where(moved, lattice.values_at(places), before).astype(np.float32)
+    off = before - lattice.values_at(home)
+    off[np.abs(off) <= ROUNDING * np.spacing(np.abs(before).max())] = 0.0
+    return np.where(moved, lattice.values_at(places) + off, before).astype(np.float32)
 
 
 def find_lattices(model: GaussianModel) -> Lattices:

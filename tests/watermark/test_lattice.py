@@ -168,3 +168,19 @@ def test_values_that_lie_only_roughly_on_even_steps_are_free() -> None:
             )
             == 0
         )
+
+
+@pytest.mark.parametrize("kind", ["splat", "compressed.ply"])
+def test_a_value_keeps_what_it_lies_beside_its_step(kind: str, free: GaussianModel, tmp_path: Path) -> None:
+    steps = through(free, kind, tmp_path)
+    lattice = find_lattices(steps).columns["dc"][0]
+    assert isinstance(lattice, Even)
+    sh = steps.sh.copy()
+    sh[:, 0, 0] += (np.random.default_rng(5).uniform(-0.05, 0.05, len(sh)) * lattice.spacing).astype(np.float32)
+    original = steps.with_(sh=sh)
+    marked = find_lattices(original).onto(original, wanted(original, 1.0), KEY).sh[:, 0, 0]
+    moved = marked != sh[:, 0, 0]
+    assert moved.mean() > 0.3
+    off = lattice.places(marked)[moved]
+    assert np.abs(off - np.rint(off)).mean() == pytest.approx(0.025, rel=0.1)
+    assert len(np.unique(marked)) > 0.98 * len(np.unique(sh[:, 0, 0]))  # where all lie on the steps, they repeat

@@ -27,6 +27,7 @@ from engine.lab.evaluate.study import Row
 from engine.lab.sim.attacks import model_attack
 from engine.model import SH_C0, Float64, GaussianModel, Int64
 from engine.watermark.keys import OwnerKey
+from engine.watermark.lattice import Even, find_lattices
 
 __all__ = ["FORMS", "Regions", "detect_as_insider", "divide", "float_born", "measure_regions"]
 
@@ -184,10 +185,13 @@ def float_born(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
     Scenes that can be had went through a format with few values; this is what their training had before it. Inner
     values lie anywhere in their cell. An outermost value also stands for all that was clipped there (training bounds
     no colour from above): where it holds more than its neighbour, it spreads in an exponential tail that begins with
-    the neighbour's density.
+    the neighbour's density. Steps that change from chunk to chunk are each Gaussian's own, and clip nothing.
     """
     dc = model.sh[:, 0].astype(np.float64)
-    for c in range(3):
+    for c, lattice in enumerate(find_lattices(model).columns.get("dc", (None,) * 3)):
+        if isinstance(lattice, Even) and lattice.spacing.ndim:
+            dc[:, c] += rng.uniform(-0.5, 0.5, len(dc)) * lattice.spacing
+            continue
         values, place, count = np.unique(dc[:, c], return_inverse=True, return_counts=True)
         if len(values) < 2:
             continue
