@@ -12,6 +12,8 @@ as one affine map says, are no accident.
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter.
 """
 
+from __future__ import annotations  # those that name SciPy's modules would load them
+
 from dataclasses import dataclass, replace
 from functools import cached_property
 

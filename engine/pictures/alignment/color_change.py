@@ -19,6 +19,8 @@ far as the washing left it.
 Nothing here sees a key or a chip.
 """
 
+from __future__ import annotations  # those that name SciPy's modules would load them
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
