@@ -24,7 +24,7 @@ import numpy.typing as npt
 from engine.catalogue.config import CONFIG
 from engine.catalogue.entry import Entry
 from engine.model import Float32, Float64, Int64
-from engine.pictures.camera.view_agreement import agreement_of_views
+from engine.pictures.camera.voted_views import agreement_of_views
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma
 from engine.registration.config import CONFIG as REGISTRATION
 from engine.registration.sketch import LOOK_ERRORS, Sketch, SuspectIndex

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "CompressConfig", "RecoveryConfig"]
-
 
 @dataclass(frozen=True)
 class RecoveryConfig:

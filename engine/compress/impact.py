@@ -75,13 +75,18 @@ def spatial_coherence(model: GaussianModel) -> Float64:
     return np.asarray(np.exp(-0.5 * np.minimum(distance / sigma, 10.0) ** 2))
 
 
+def seen_harmonics(model: GaussianModel, camera: Camera, degree: int) -> Float32:
+    """(N, K) basis functions up to a degree at the directions in which a camera sees each Gaussian."""
+    direction = model.means - camera.position.astype(np.float32)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    return np.asarray(sh_basis(direction, degree))
+
+
 def sh_curvature(model: GaussianModel, views: Sequence[View], cameras: Sequence[Camera]) -> Float32:
     """(N, K) diagonal Gauss-Newton curvature H_i,lm = sum over views and pixels of w_i(p)^2 Y_lm(d_i)^2."""
     curvature = np.zeros((len(model), model.sh.shape[1]), dtype=np.float32)
     for view, camera in zip(views, cameras, strict=True):
-        direction = model.means - camera.position.astype(np.float32)
-        direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-        basis = sh_basis(direction, model.sh_degree)  # (N, K)
+        basis = seen_harmonics(model, camera, model.sh_degree)
         curvature += (view.weights()[1][:, None] * basis**2).astype(np.float32)
     return curvature
 

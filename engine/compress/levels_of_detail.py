@@ -15,8 +15,6 @@ from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import GaussianModel, Int64
 from engine.numerics.gaussians import covariances, merge_groups, surface_mass, volume_mass
 
-__all__ = ["merge_pairs"]
-
 
 def merge_pairs(model: GaussianModel, share: float, *, surface: bool) -> GaussianModel:
     """Merge neighbours pair after pair until this share of the Gaussians is left, in (0, 1].

@@ -18,8 +18,6 @@ from engine.model import Camera, Float64, GaussianModel
 from engine.numerics.adam import AdamMoments, adam_step
 from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors
 
-__all__ = ["Recovery", "Target", "fit", "prune_and_fit", "recoverable"]
-
 _CONFIG = CONFIG.recovery
 
 Measure = Callable[[GaussianModel], float]

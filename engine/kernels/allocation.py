@@ -7,8 +7,6 @@ verifying a model, for a tenth more memory at the peak of an embedding.
 
 import sys
 
-__all__ = ["keep_freed_memory"]
-
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # of mallopt(3)
 _KEPT = 1 << 30
 """Free bytes at the end of the heap that are kept."""

@@ -13,8 +13,6 @@ from numba.extending import register_jitable
 
 from engine.kernels.machine_code import Code, announce
 
-__all__ = ["compile_kernel", "dispatcher", "inlined_function", "plain_function"]
-
 _OPTIONS: dict[str, bool | str] = {
     "boundscheck": False,
     "error_model": "numpy",  # no division-by-zero checks: they stop vectorization

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Deferred", "resolved", "text_of"]
-
 
 class Deferred:
     """A piece of kernels: `compiled` is what the compiler sees where a kernel names it, made at its first use."""

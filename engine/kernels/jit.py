@@ -20,17 +20,6 @@ from engine.kernels import kernel_cache, machine_code
 from engine.kernels.deferred import Deferred, resolved, text_of
 from engine.kernels.thread_crew import run_turns, thread_count, use_threads
 
-__all__ = [
-    "FLOAT_FLAGS",
-    "Kernel",
-    "ParallelKernel",
-    "inlined",
-    "kernel",
-    "parallel_kernel",
-    "share_of",
-    "side_by_side",
-]
-
 FLOAT_FLAGS = frozenset({"nsz", "arcp", "contract", "afn"})
 """Floating-point freedoms given to LLVM: signed zeros, reciprocals, fused multiply-add, approximate
 functions."""

@@ -19,8 +19,6 @@ from pathlib import Path
 
 from engine.kernels.machine_code import Code, processor
 
-__all__ = ["compiler", "find", "folder", "keep", "numba_folder", "path_of", "read", "warn_once", "write"]
-
 UNUSED_DAYS = 30.0
 """After which a file is removed. Use is noted in its date, at most once a day."""
 

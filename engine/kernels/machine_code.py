@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Code", "Native", "announce", "flatten", "kind_of", "load", "on_compiling", "processor"]
-
 _C_TYPES: dict[str, Any] = {
     "ptr": ctypes.c_void_p,
     "double": ctypes.c_double,

@@ -13,9 +13,6 @@ from pathlib import Path
 
 from engine.errors import Mark3DGSError
 from engine.kernels import kernel_cache
-from engine.kernels.machine import module_command
-
-__all__ = ["calls_native", "verdict"]
 
 BEFORE_NUMBA = (0, 69)
 """The first untested version of numba; `pyproject.toml` has the same bound."""
@@ -62,3 +59,9 @@ def _ask() -> subprocess.CompletedProcess[bytes]:
     """Compare in a new process, which machine code that is called in a wrong way may end."""
     command = module_command("engine.kernels.native_probe")
     return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=SECONDS, check=False)
+
+
+def module_command(name: str) -> list[str]:
+    """How to run a module of ours as a program, with this Python and what it finds modules in."""
+    program = f"import runpy, sys; sys.path[:] = {sys.path!r}; runpy.run_module({name!r}, run_name='__main__')"
+    return [sys.executable, "-c", program]

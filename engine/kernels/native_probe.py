@@ -13,8 +13,6 @@ from engine.kernels import machine_code
 from engine.kernels.deferred import resolved
 from engine.kernels.jit import FLOAT_FLAGS, share_of
 
-__all__ = ["difference"]
-
 
 def _probe(doubles, singles, grid, bytes_, flags, out, counts, pair, scale, small, on, nothing, call):  # type: ignore[no-untyped-def]
     weight, (shift, steps) = pair

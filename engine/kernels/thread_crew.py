@@ -17,11 +17,14 @@ from typing import Any
 # It must be set before torch starts its pool.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-from engine.kernels.machine import usable_cores
-
-__all__ = ["run_turns", "thread_count", "use_threads"]
-
 _own = threading.local()
+
+
+def usable_cores() -> int:
+    """Those that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def thread_count() -> int:

@@ -1,8 +1,6 @@
 """Adam (Kingma and Ba, 2015) on whole arrays, one pass over memory, nothing allocated."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -11,9 +9,6 @@ import numpy as np
 from engine.errors import InputError
 from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32
-
-__all__ = ["AdamMoments", "adam_step"]
-
 
 _BLOCK = 1 << 14
 _BETA1, _BETA2 = 0.9, 0.999
@@ -29,7 +24,7 @@ class AdamMoments:
     second: Float32
 
     @classmethod
-    def zeros(cls, parameter: Float32) -> AdamMoments:
+    def zeros(cls, parameter: Float32) -> "AdamMoments":
         """Before the first step."""
         return cls(np.zeros_like(parameter), np.zeros_like(parameter))
 
@@ -92,17 +87,11 @@ def _update(parameter, gradient, first, second, row, head, rate, rate_rest, epsi
     rows = size // row
     for block in share_of((rows + rows_each - 1) // rows_each, call):
         for i in range(block * rows_each, min(rows, (block + 1) * rows_each)):
-            for k in range(i * row, i * row + head):
-                g = gradient[k]
-                m = b1 * first[k] + r1 * g
-                v = b2 * second[k] + r2 * g * g
-                first[k] = m
-                second[k] = v
-                parameter[k] -= rate * m / (np.sqrt(v) + epsilon)
-            for k in range(i * row + head, (i + 1) * row):
-                g = gradient[k]
-                m = b1 * first[k] + r1 * g
-                v = b2 * second[k] + r2 * g * g
-                first[k] = m
-                second[k] = v
-                parameter[k] -= rate_rest * m / (np.sqrt(v) + epsilon)
+            for begin, end, step in ((i * row, i * row + head, rate), (i * row + head, (i + 1) * row, rate_rest)):
+                for k in range(begin, end):
+                    g = gradient[k]
+                    m = b1 * first[k] + r1 * g
+                    v = b2 * second[k] + r2 * g * g
+                    first[k] = m
+                    second[k] = v
+                    parameter[k] -= step * m / (np.sqrt(v) + epsilon)

@@ -10,8 +10,6 @@ from types import TracebackType
 
 from threadpoolctl import OpenBLASController, threadpool_limits
 
-__all__ = ["one_blas_thread"]
-
 
 class _OneBlasThread(ContextDecorator):
     """Overlapping uses are one: the first to come in lowers the number of threads, the last to leave restores it."""

@@ -9,9 +9,6 @@ from engine.errors import InputError
 from engine.kernels.jit import kernel
 from engine.model import Float32
 
-__all__ = ["psnr", "ssim", "ssim_maps"]
-
-
 SSIM_RADIUS = 5
 """Half width of the 11-tap window of Wang et al."""
 SSIM_SIGMA = 1.5

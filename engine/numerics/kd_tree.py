@@ -13,8 +13,6 @@ import numpy as np
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float64, Int64
 
-__all__ = ["KdTree"]
-
 _LEAF = 16
 """Points of a leaf, at most."""
 _SAMPLE = 64

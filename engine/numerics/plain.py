@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-__all__ = ["Json", "Report", "plain"]
-
 Json = dict[str, Any]
 """A JSON object, as `json.loads` gives it: what is written out, or was read and not yet checked."""
 

@@ -15,8 +15,6 @@ import numpy.typing as npt
 from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.model import Bool, Float32, Float64
 
-__all__ = ["map_points", "remap", "resized", "sample", "smooth", "warp"]
-
 
 @inlined
 def _cubic(t):

@@ -5,8 +5,6 @@ import numpy.typing as npt
 
 from engine.model import Float64
 
-__all__ = ["from_linear", "to_linear"]
-
 Values = npt.NDArray[np.floating]
 
 

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float32, Float64
 
-__all__ = ["first_at_least", "look_up"]
-
 
 @inlined
 def first_at_least(ascending, value):

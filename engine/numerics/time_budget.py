@@ -9,8 +9,6 @@ import math
 import time
 from collections.abc import Callable
 
-__all__ = ["UNLIMITED", "TimeBudget"]
-
 
 class TimeBudget:
     """Seconds of wall-clock time from now on; `left_out` names the steps that it did not allow."""

@@ -1,7 +1,5 @@
 """Least-squares similarity between two point sets, plain and robust."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +19,7 @@ class Similarity:
     t: Float64
 
     @classmethod
-    def identity(cls) -> Similarity:
+    def identity(cls) -> "Similarity":
         """The similarity that moves nothing."""
         return cls(1.0, np.eye(3), np.zeros(3))
 
@@ -29,7 +27,7 @@ class Similarity:
         """Points (..., 3) moved, float64."""
         return points.astype(np.float64) @ (self.scale * self.R).T + self.t
 
-    def inverse(self) -> Similarity:
+    def inverse(self) -> "Similarity":
         """The similarity that undoes this one."""
         return Similarity(1.0 / self.scale, self.R.T.copy(), -(self.R.T @ self.t) / self.scale)
 

@@ -13,8 +13,7 @@ whatever the number of threads. The gather is a sixth of the pass (real scene, 5
 import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
-from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store
-from engine.raster.lane_sums import sum_rows
+from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store, sum_rows
 from engine.raster.lanes import fma, maximum, spread
 from engine.raster.settings import TILE
 from engine.raster.tiles import (
@@ -37,7 +36,7 @@ _AHEAD = 32  # pairs: about the time that a line takes from memory
 _SIXTEEN = (0,) * 16
 
 WEIGHT_SUMS = 2
-"""Sums of `pair_weights`: w and w^2."""
+"""Sums of `pair_sums` without a cotangent: w and w^2."""
 
 
 def pair_width(channels: int) -> int:
@@ -70,8 +69,8 @@ def write_sums(own, rows, count, spare, out, to):
 
 
 @parallel_kernel
-def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
-    """Per pair and channel: sum over the tile's pixels of w * cotangent.
+def pair_sums(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
+    """Per pair and channel: sum over the tile's pixels of w * cotangent; where that is None, of w and of w^2.
 
     `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of
     `pair_tuple`). The rest as in `forward.blend_tiles`.
@@ -83,7 +82,7 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
     tiles = starts.shape[0] - 1
     stage = FIELDS + channels * FIELD
     rows = stage + (BATCH + 1) * STAGE_ROW
-    spare = rows + BATCH * pair * 16
+    spare, nothing = rows + BATCH * pair * 16, spread(_f(0.0))
     for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
@@ -100,19 +99,26 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
             left, top = _f(x0), _f(y0)
             alive = open_tile(own, x0, y0, width, height)
-            for channel in range(channels):
-                fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
+            if cotangent is not None:
+                for channel in range(channels):
+                    fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own, stage, list_, records, discs, cotangent, 0, ids, at, size, end, left, top, alive, log2_skip
+                    own, stage, list_, records, discs, out, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
                     place, j, _, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
-                    for channel in range(channels):
-                        to = rows + (j * pair + channel) * 16
-                        store(own, to, fma(w, load(own, FIELDS + channel * FIELD + place), load(own, to)))
+                    to = rows + j * pair * 16
+                    if cotangent is None:
+                        store(own, to, load(own, to) + w)
+                        # As a maximum the square is rounded before it is added: fused, it would have other last digits.
+                        store(own, to + 16, load(own, to + 16) + maximum(w * w, nothing))
+                    else:
+                        for channel in range(channels):
+                            seen = load(own, FIELDS + channel * FIELD + place)
+                            store(own, to + channel * 16, fma(w, seen, load(own, to + channel * 16)))
                     store(own, STATE + place, after)
                 write_sums(own, rows, size * pair, spare, out, at * pair)
                 clear_rows(own, rows, size * pair)
@@ -120,53 +126,6 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
                 alive = living_blocks(own, alive, stop)
             for k in range(at * pair, end * pair):  # behind the pixels' ends
                 out[k] = _f(0.0)
-
-
-@parallel_kernel
-def pair_weights(lists, sums, bench, call):
-    """Per pair: sums over the tile's pixels of w and w^2."""
-    records, discs, ids, starts, width, height, tiles_x, limits = lists
-    scratch, items, counter = bench
-    log2_skip, clamp, stop = limits[0], limits[1], limits[2]
-    tiles = starts.shape[0] - 1
-    stage = FIELDS
-    rows = stage + (BATCH + 1) * STAGE_ROW
-    spare, nothing = rows + BATCH * WEIGHT_SUMS * 16, spread(_f(0.0))
-    for worker in share_of(scratch.shape[0], call):
-        own = scratch[worker]
-        list_ = items[worker]
-        lay_grid(own)
-        clear_rows(own, rows, BATCH * WEIGHT_SUMS)
-        while True:
-            tile = fetch_add(counter, 0, 1)
-            if tile >= tiles:
-                break
-            at, end = starts[tile], starts[tile + 1]
-            if at == end:
-                continue
-            row = tile // tiles_x
-            x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
-            left, top = _f(x0), _f(y0)
-            alive = open_tile(own, x0, y0, width, height)
-            while at < end and alive != 0:
-                size = min(BATCH, end - at)
-                count = stage_batch(
-                    own, stage, list_, records, discs, sums, 0, ids, at, size, end, left, top, alive, log2_skip
-                )
-                for t in range(count):
-                    place, j, _, _, _, q = open_item(own, stage, entry(list_, t), discs)
-                    _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
-                    to = rows + j * (WEIGHT_SUMS * 16)
-                    store(own, to, load(own, to) + w)
-                    # As a maximum the square is rounded before it is added: fused, it would have other last digits.
-                    store(own, to + 16, load(own, to + 16) + maximum(w * w, nothing))
-                    store(own, STATE + place, after)
-                write_sums(own, rows, size * WEIGHT_SUMS, spare, sums, at * WEIGHT_SUMS)
-                clear_rows(own, rows, size * WEIGHT_SUMS)
-                at += size
-                alive = living_blocks(own, alive, stop)
-            for k in range(at * WEIGHT_SUMS, end * WEIGHT_SUMS):
-                sums[k] = _f(0.0)
 
 
 @parallel_kernel

@@ -26,8 +26,6 @@ from engine.raster.lane_memory import lowest_bit, prefetch
 from engine.raster.projection import COVER, RECORD
 from engine.raster.settings import TILE
 
-__all__ = ["BUCKETS", "list_pairs", "list_starts", "place_pairs", "sort_by_depth", "workers_for"]
-
 _f = np.float32
 _AHEAD = 16  # Gaussians: about the time that a line takes from memory
 _PER_TILE = _f(1.0 / TILE)

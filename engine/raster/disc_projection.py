@@ -32,9 +32,6 @@ from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.projection import RECORD
 from engine.raster.settings import MAX_SIGMA_PX, TILE
 
-__all__ = ["LOW_PASS", "project_discs"]
-
-
 LOW_PASS = 2.0
 """The screen-space kernel is exp(-LOW_PASS |d|^2 / 2), d in pixels: sigma sqrt(2) / 2."""
 

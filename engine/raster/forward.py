@@ -25,9 +25,6 @@ from engine.raster.tiles import (
     stage_batch,
 )
 
-__all__ = ["blend_tiles", "forward_scratch"]
-
-
 _f = np.float32
 
 

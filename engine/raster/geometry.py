@@ -16,8 +16,6 @@ from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
 from engine.raster.workspace import Workspace, borrow_workspace
 
-__all__ = ["Geometry", "build_geometry", "count_overlaps"]
-
 _CHUNKS = 32
 _LANES = 16
 _MOST_PAIRS = 2**31 - 1

@@ -1,7 +1,5 @@
 """Gradients of an image with respect to everything: Gaussians, colours or SH, and the camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +17,6 @@ from engine.raster.sh_kernels import SH_SCRATCH
 from engine.raster.spherical_harmonics import sh_colors
 from engine.raster.view import View, prepare_view
 from engine.raster.workspace import Workspace, borrow_workspace
-
-__all__ = ["Gradients", "Rendering", "backward", "draw"]
 
 _NONE = np.zeros(0, dtype=np.float32)
 
@@ -55,7 +51,7 @@ class Gradients:
     K: Float64  # fx, fy, cx, cy, 0 elsewhere
 
     @classmethod
-    def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
+    def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> "Gradients":
         """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
         n = len(model)
         shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}

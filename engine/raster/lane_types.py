@@ -12,8 +12,6 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from engine.raster.lane_ir import BOOLS, FLAGS, FLOATS, broadcast
 
-__all__ = ["array_function_of", "function_of", "mixed_function_of"]
-
 
 class LanesType(types.Type):
     """16 x float32."""

@@ -13,8 +13,7 @@ import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.backward import clear_rows
-from engine.raster.lane_memory import entry, fetch_add, load, load_quarters, number, store, store_quarters
-from engine.raster.lane_sums import sum_rows
+from engine.raster.lane_memory import entry, fetch_add, load, load_quarters, number, store, store_quarters, sum_rows
 from engine.raster.lanes import fma, minimum, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -35,9 +34,6 @@ from engine.raster.tiles import (
     place_of,
     stage_batch,
 )
-
-__all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
-
 
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""

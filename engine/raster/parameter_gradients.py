@@ -10,16 +10,12 @@ import numpy as np
 
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_math import add, dot, exp2, row_times, scale_columns, times
-from engine.raster.lane_memory import load, prefetch, store
+from engine.raster.lane_memory import load, prefetch, store, sum_rows, transpose
 from engine.raster.lane_order import zip3, zip4
-from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import constant_lanes, maximum, minimum, select, spread
 from engine.raster.moments import PAIR_NUMBERS
 from engine.raster.projection import affine_rows, covariance, log2_opacity, rotation, rows3, scale_lanes, unit_quats
 from engine.raster.sh_kernels import differentiate_group
-
-__all__ = ["CHUNK", "GRADIENT_SCRATCH", "chunks_of", "parameter_gradients"]
-
 
 CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""

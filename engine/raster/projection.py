@@ -25,9 +25,6 @@ from engine.raster.lane_order import unzip3, unzip4
 from engine.raster.lanes import bits_of, maximum, minimum, root, round_down, select, spread
 from engine.raster.settings import FRUSTUM_MARGIN, MAX_SIGMA_PX, TILE, RasterSettings
 
-__all__ = ["COVER", "LANE_SCRATCH", "RECORD", "pack_lens", "project"]
-
-
 RECORD = 8
 """Floats per record."""
 

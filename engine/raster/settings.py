@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from engine.errors import InputError
 from engine.model import Float32
 
-__all__ = ["ALPHA_SKIP", "BLOCK", "KERNELS", "MAX_SIGMA_PX", "TILE", "EarlyStop", "RasterSettings"]
-
 TILE = 16
 """Side of a tile, pixels. A Gaussian's list entry is one (tile, Gaussian) pair."""
 

@@ -10,13 +10,9 @@ import numpy as np
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import SH_C0
 from engine.numerics.spherical_harmonics import SH_C1, SH_C2, SH_C3
-from engine.raster.lane_memory import load, load_some, store, store_some
+from engine.raster.lane_memory import load, load_some, store, store_some, sum_rows, transpose
 from engine.raster.lane_order import unzip3, zip3
-from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import maximum, root, spread
-
-__all__ = ["SH_SCRATCH", "TURNED", "differentiate_group", "evaluate_sh", "set_direction", "sh_lanes", "store_colors"]
-
 
 SH_SCRATCH = 3 * 16 + 5 * 256
 """Floats of scratch a share needs: directions, basis, transposed basis, three blocks of products."""

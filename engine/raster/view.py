@@ -8,14 +8,12 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, GaussianModel, Int32
-from engine.raster.backward import WEIGHT_SUMS, backward_scratch, gather_sums, pair_colors, pair_weights, pair_width
+from engine.raster.backward import WEIGHT_SUMS, backward_scratch, gather_sums, pair_sums, pair_width
 from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.geometry import Geometry, build_geometry
 from engine.raster.settings import EarlyStop, RasterSettings
 from engine.raster.spherical_harmonics import evaluate
 from engine.raster.workspace import Workspace, borrow_workspace
-
-__all__ = ["View", "blend_colors", "prepare_view", "render", "render_depth"]
 
 _WIDTHS = (1, 3, 4)
 """Numbers of channels that kernels are compiled for; two are padded to three, and more are not drawn at once."""
@@ -127,7 +125,7 @@ class View:
             sums = work.array("pairs", (len(geometry.ids) * pair,))
             bench = work.tile_bench(backward_scratch(width, pair))
             flat = widened(cotangent, width).reshape(-1)
-            pair_colors(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
+            pair_sums(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
             gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, thread_count(), out)
         return out
 
@@ -138,7 +136,8 @@ class View:
         out = np.empty((geometry.count, WEIGHT_SUMS), dtype=np.float32)
         with borrow_workspace() as work:
             sums = work.array("pairs", (len(geometry.ids) * WEIGHT_SUMS,))
-            pair_weights(geometry.lists, sums, work.tile_bench(backward_scratch(0, WEIGHT_SUMS)))
+            bench = work.tile_bench(backward_scratch(0, WEIGHT_SUMS))
+            pair_sums(geometry.lists, (), (0,) * WEIGHT_SUMS, None, sums, bench)
             gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, thread_count(), out)
         return out[:, 0].copy(), out[:, 1].copy()
 

@@ -4,8 +4,6 @@ A rasterizer call borrows a whole workspace; two calls at the same time get two.
 cost more than the passes that fill them.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,14 +16,12 @@ from engine.kernels.thread_crew import thread_count
 from engine.raster.lane_memory import aligned
 from engine.raster.tiles import ITEMS
 
-__all__ = ["Workspace", "borrow_workspace", "release_memory"]
-
 _KEPT = 2
 _MOST = 512 << 20
 """Bytes of a workspace above which it is not kept: to fill fresh memory then costs little next to what fills it."""
 
 _lock = threading.Lock()
-_idle: list[Workspace] = []
+_idle: "list[Workspace]" = []
 
 
 class Workspace:

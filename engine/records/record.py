@@ -3,8 +3,6 @@
 `header` says how it binds the chips to the asset, `file` how it lies in a file.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 from collections.abc import Mapping
@@ -58,7 +56,7 @@ class Record:
         copy: str = "",
         registered_at: str = "",
         tool_version: str | None = None,
-    ) -> Record:
+    ) -> "Record":
         """A record of one embedding; the header follows from the rest.
 
         MalformedRecordError if a text or digest is not as `RecordHeader` requires; ValueError or TypeError if plan or
@@ -93,7 +91,7 @@ class Record:
         return seal(self.header, body, key)
 
     @classmethod
-    def from_bytes(cls, data: bytes, key: OwnerKey) -> Record:
+    def from_bytes(cls, data: bytes, key: OwnerKey) -> "Record":
         """Open a record file.
 
         RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key

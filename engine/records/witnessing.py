@@ -13,8 +13,6 @@ from engine.records.merkle import check_inclusion, leaf_hash
 from engine.records.signatures import REGISTRATION, SignatureFault, verify
 from engine.records.timestamps import TimestampFault, authority_of, check_stamp, qualification, stamped_at
 
-__all__ = ["check_attestations"]
-
 ASSET_REGISTERED = "asset.registered"
 """Event of a log entry that registers a record."""
 

@@ -11,8 +11,6 @@ ladder of sizes.
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -24,8 +22,6 @@ from engine.numerics.similarity import MIRROR
 from engine.registration.config import CONFIG
 from engine.registration.hypotheses import chance_table
 from engine.registration.match_kernels import Pairs, best_triples, evidence
-
-__all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 
 _CONFIG = CONFIG.coarse
 FEATURES = 20

@@ -12,8 +12,6 @@ from engine.numerics.similarity import MIRROR
 from engine.numerics.umeyama import Similarity, robust_umeyama, umeyama
 from engine.registration.config import CONFIG
 
-__all__ = ["are_points", "place_points"]
-
 _CONFIG = CONFIG.points
 
 Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]

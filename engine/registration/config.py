@@ -6,8 +6,6 @@ Numbers of Gaussians, of pairs and of rounds have no unit. An extent is the size
 import math
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "Agreement", "RegistrationConstants"]
-
 
 @dataclass(frozen=True)
 class Agreement:
@@ -89,7 +87,7 @@ class ClassesConfig:
 
 @dataclass(frozen=True)
 class DeformationConfig:
-    """Search for a deformation, and the field that describes it (`deformed`, `warp`)."""
+    """Search for a deformation, and the field that describes it (`deformed`, `patches`)."""
 
     glance: int = 4_000  # suspect Gaussians that decide whether a deformation is sought
     neighbors: int = 16  # of those, that show what is explained nearby

@@ -21,9 +21,8 @@ from engine.numerics.umeyama import Similarity
 from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
-from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
-from engine.registration.patches import Patch, find_patches
-from engine.registration.warp import Affine, blend, fit_affine, unturned, warped
+from engine.registration.matching import Deviations, Matcher, estimate_wide, paired
+from engine.registration.patches import Affine, Patch, blend, find_patches, fit_affine, unturned, warped
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +111,7 @@ def _measure(
     """Errors of a straightened suspect. Joints and edges leave a few large ones in position: those count."""
     step = max(1, len(pairs[0]) // _CONFIG.measured)
     pairs = (pairs[0][::step], pairs[1][::step])
-    usual = unturned(estimate_deviations(reference, straight, pairs, Similarity.identity(), floor))
-    error = np.abs(straight.means[pairs[1]].astype(np.float64) - reference.means[pairs[0]])
-    # 1.645: nine in ten of a normal error are smaller
-    return replace(usual, position=np.maximum(usual.position, np.quantile(error, 0.9, axis=0) / 1.645))
+    return unturned(estimate_wide(reference, straight, pairs, Similarity.identity(), floor))
 
 
 def _first_map(source: Float64, target: Float64) -> Affine:
@@ -226,9 +222,7 @@ def register_deformed(
         if field is None:
             break
         straight = field.straighten(suspect)
-        neighbors = field.matcher.match(straight, Similarity.identity(), field.deviations)
-        quality = field.matcher.quality(neighbors)
-        matches = np.where(quality > 0, neighbors.index, -1).astype(np.int32)
+        matches, quality = field.matcher.pair(straight, Similarity.identity(), field.deviations)
         tried += field.rounds
         best = Deformed(matches, quality, tried, same_hand[0].mirrored)
         rows = sample_rows(len(suspect), _CONFIG.glance, rng)

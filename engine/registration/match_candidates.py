@@ -2,8 +2,6 @@
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -66,11 +64,11 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.x)
 
-    def take(self, keep: npt.NDArray[np.bool_]) -> Candidates:
+    def take(self, keep: npt.NDArray[np.bool_]) -> "Candidates":
         """The pairs under a mask."""
         return Candidates(self.reference[keep], self.suspect[keep], self.x[keep], self.y[keep], self.size[keep])
 
-    def mirrored(self) -> Candidates:
+    def mirrored(self) -> "Candidates":
         """The pairs of the suspect's mirror image: no look knows left from right."""
         return replace(self, x=self.x * MIRROR)
 

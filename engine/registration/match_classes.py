@@ -2,19 +2,18 @@
 
 One error for all would be too small for the large ones and too large for the small ones. So the Gaussians are matched
 in classes of like size, each with errors of its own, learnt as the others are: from the matches, until they settle.
+Within a class, and along the axes of each, errors differ still: the larger ones count (`estimate_wide`).
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
-from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
+from engine.registration.matching import Deviations, Matcher, estimate_wide, paired
 
 _CONFIG = CONFIG.classes
 
@@ -131,7 +130,7 @@ def _learn(
         pairs = paired(Matcher(reference, deviations).match(part, fit, deviations))
         if len(np.unique(pairs[0])) < _CONFIG.least_pairs:
             return None
-        measured = _measure(reference, part, pairs, fit, floor)
+        measured = estimate_wide(reference, part, pairs, fit, floor)
         if (measured.position > np.maximum(limit, start.position)).any():
             return None
         settled = not (measured.much_above(deviations, 1.1) or deviations.much_above(measured, 1.5))
@@ -149,26 +148,12 @@ def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, flo
     near = np.flatnonzero((error <= _limit(part, fit)).all(axis=1))
     if len(near) < max(_CONFIG.least_pairs, len(part) / 2):
         return None
-    return _measure(reference, part, (near, near), fit, floor)
+    return estimate_wide(reference, part, (near, near), fit, floor)
 
 
 def _limit(part: GaussianModel, fit: Similarity) -> float:
     """The largest error that is believed."""
     return _CONFIG.own_size * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
-
-
-def _measure(
-    reference: GaussianModel,
-    part: GaussianModel,
-    pairs: tuple[npt.NDArray[Any], npt.NDArray[Any]],
-    fit: Similarity,
-    floor: Deviations,
-) -> Deviations:
-    measured = estimate_deviations(reference, part, pairs, fit, floor)
-    # Within a class, and along the axes of each, errors differ still: the larger ones count.
-    error = np.abs(fit.apply(part.means[pairs[1]]) - reference.means[pairs[0]])
-    wide = np.quantile(error, 0.9, axis=0) / 1.645  # nine in ten of a normal error are smaller
-    return replace(measured, position=np.maximum(measured.position, wide))
 
 
 def _sizes(model: GaussianModel) -> Float64:

@@ -2,8 +2,6 @@
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -32,7 +30,7 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.x)
 
-    def shuffled(self, order: Int64) -> Pairs:
+    def shuffled(self, order: Int64) -> "Pairs":
         """The suspect's places paired with other places of the reference."""
         return Pairs(self.x, self.y[order], self.size[order], self.turn)
 

@@ -7,8 +7,6 @@ error, and these errors are learnt from the matches. No secret of the mark enter
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,7 +70,7 @@ class Deviations:
         """Whether sizes are off by more than any trade format's rounding, so that noise was added to all."""
         return bool(self.size.max() > 0.08)
 
-    def much_above(self, other: Deviations, factor: float) -> bool:
+    def much_above(self, other: "Deviations", factor: float) -> bool:
         """Whether some error is more than `factor` times that of `other`."""
         mine = np.append(self.sigmas, self.rotation)
         theirs = np.append(other.sigmas, other.rotation)
@@ -188,7 +186,9 @@ class Matcher:
         trust: Float32 = (neighbors.probability * np.clip(fade, 0.0, 1.0)).astype(np.float32)
         return trust
 
-    def pair(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> tuple[Int32, Float32]:
+    def pair(
+        self, suspect: GaussianModel, fit: Similarity, deviations: Deviations | None = None
+    ) -> tuple[Int32, Float32]:
         """(M,) reference Gaussian of each suspect Gaussian, -1 where there is none, and the trust in it, 0 to 1."""
         neighbors = self.match(suspect, fit, deviations)
         quality = self.quality(neighbors)
@@ -224,6 +224,20 @@ def estimate_deviations(
         offset=offset,
         smallest=floor.smallest,
     )
+
+
+def estimate_wide(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    pairs: tuple[npt.NDArray[Any], npt.NDArray[Any]],
+    fit: Similarity,
+    floor: Deviations,
+) -> Deviations:
+    """As `estimate_deviations`, where the errors of position differ among the pairs: the larger ones count."""
+    measured = estimate_deviations(reference, suspect, pairs, fit, floor)
+    error = np.abs(fit.apply(suspect.means[pairs[1]]) - reference.means[pairs[0]])
+    wide = np.quantile(error, 0.9, axis=0) / 1.645  # nine in ten of a normal error are smaller
+    return replace(measured, position=np.maximum(measured.position, wide))
 
 
 def _tint(suspect: Float64, reference: Float64) -> tuple[Float64, Float64]:

@@ -116,12 +116,7 @@ def _mixed(
     tried: int,
     singles: Singles | None = None,
 ) -> Merged:
-    if singles is None:
-        neighbors = index.matcher.match(suspect, fit)
-        quality = index.matcher.quality(neighbors)
-        matches = np.where(quality > 0, neighbors.index, -1).astype(np.int32)
-    else:
-        matches, quality = singles
+    matches, quality = index.matcher.pair(suspect, fit) if singles is None else singles
     return Merged(fit, matches, quality, mix(parts, suspect, fit, matches, quality), tried)
 
 

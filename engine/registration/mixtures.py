@@ -7,8 +7,6 @@ under which it is likeliest, and what each received must have its moments. No se
 
 # mypy: allow-untyped-defs
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +35,7 @@ class Mixtures:
     quality: Float32  # (M,) trust in each suspect Gaussian's mixture, 0 to 1; 0 where there is none
 
     @classmethod
-    def of_matches(cls, matches: Int32, quality: Float32) -> Mixtures:
+    def of_matches(cls, matches: Int32, quality: Float32) -> "Mixtures":
         """Every suspect Gaussian is one reference Gaussian: row `matches` (M,), -1 for none; `quality` (M,)."""
         rows = np.flatnonzero((matches >= 0) & (quality > 0))
         return cls(rows.astype(np.int32), matches[rows].astype(np.int32), np.ones(len(rows)), quality)
@@ -59,7 +57,7 @@ class Wholes:
         self.variance: Float64 = np.trace(sigma, axis1=1, axis2=2)
         self.colors = _colors(suspect)
 
-    def find(self, parts: Parts, fit: Similarity) -> tuple[Int32, Float64]:
+    def find(self, parts: "Parts", fit: Similarity) -> tuple[Int32, Float64]:
         """The whole (n,) under which each part is likeliest, -1 for none, and its squared distance, infinity for none.
 
         `fit` takes the suspect into the reference's frame.
@@ -87,11 +85,11 @@ class Parts:
     mass: Float64  # (n,)
 
     @classmethod
-    def of(cls, model: GaussianModel) -> Parts:
+    def of(cls, model: GaussianModel) -> "Parts":
         """All Gaussians of a model."""
         return cls(model.means.astype(np.float64), covariances(model), _colors(model), surface_mass(model))
 
-    def take(self, rows: npt.NDArray[np.int64]) -> Parts:
+    def take(self, rows: npt.NDArray[np.int64]) -> "Parts":
         """The parts of some rows."""
         return Parts(self.means[rows], self.sigma[rows], self.colors[rows], self.mass[rows])
 

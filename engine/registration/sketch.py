@@ -13,8 +13,6 @@ A sketch is made of the model that is published: it says nothing that the public
 either; it only saves registering a suspect to models it has nothing to do with.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,8 +29,6 @@ from engine.registration.match_candidates import by_region, invariant_features, 
 from engine.registration.match_kernels import Pairs, degrees_of_agreement
 from engine.registration.similarity_search import turns
 from engine.registration.visibility import only_drawn
-
-__all__ = ["LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
 
 _CONFIG = CONFIG.sketch
 _BUCKETS = 1 << 20
@@ -73,7 +69,7 @@ class Sketch:
         return _PREFIX.pack(_MAGIC, len(self)) + points.tobytes() + places.tobytes()
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> Sketch:
+    def from_bytes(cls, data: bytes) -> "Sketch":
         """The sketch that `to_bytes` stored, now or in the first version; FormatError if it is none."""
         if len(data) < _PREFIX.size:
             raise FormatError("this is no sketch")

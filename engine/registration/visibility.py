@@ -8,8 +8,6 @@ from engine.model import Bool, GaussianModel
 from engine.raster.settings import ALPHA_SKIP
 from engine.registration.config import CONFIG
 
-__all__ = ["FAINTEST", "HARDLY", "SMALLEST", "drawn", "only_drawn"]
-
 _ROUNDED, _HARDLY = CONFIG.visibility.rounded * ALPHA_SKIP, CONFIG.visibility.hardly * ALPHA_SKIP
 FAINTEST = math.log(_ROUNDED / (1.0 - _ROUNDED))
 """Opacity logit below which no viewer draws a Gaussian: its alpha stays below one gray level at its very center."""

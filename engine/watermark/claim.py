@@ -14,7 +14,6 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64
 from engine.numerics.plain import Json
-from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
 from engine.watermark.power import Moments, moments
 from engine.watermark.power import change as measured
@@ -50,6 +49,29 @@ class Verdict(StrEnum):
     MARKED = "marked"
     NOT_MARKED = "not_marked"  # it equals the unmarked original to rounding, or a part of it: no acquittal
     INCONCLUSIVE = "inconclusive"
+
+
+Corner = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """How much of the registered asset is in a suspect, how exactly and where."""
+
+    derived: bool  # the asset, or a piece of it, was recognised in the suspect
+    # Share of the reference's Gaussians that were found; None where the route does not measure it
+    share: float | None = None
+    gaussians: int | None = None  # Gaussians of the suspect that were recognised; None likewise
+    # Median distance of a recognised Gaussian from where the reference has it, in that Gaussian's own standard
+    # deviations; None where there is no one similarity, or nothing was matched
+    exactness: float | None = None
+    # Box around what was found, its 1 % and 99 % quantiles along each axis, in the reference's coordinates
+    where: tuple[Corner, Corner] | None = None
+    views: tuple[int, int] | None = None  # pictures in which it was recognised, of so many looked at
+
+
+NOT_FOUND = Derivation(False)
+"""Nothing of the asset was recognised."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ from engine.kernels.jit import kernel
 from engine.model import Float32, Float64, Int32, Int64
 from engine.watermark.config import CONFIG
 
-__all__ = ["CodeShares", "combined"]
-
 
 class CodeShares:
     """Shares of the code vectors of one stage in n suspect Gaussians."""

@@ -6,8 +6,6 @@ tuning. z values and standard deviations have no unit.
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "WatermarkConfig"]
-
 
 @dataclass(frozen=True)
 class CellsConfig:
@@ -25,7 +23,7 @@ class CellsConfig:
 
 @dataclass(frozen=True)
 class PlanningConfig:
-    """Amplitudes and capacity (`layout`, `masses`, `planning`)."""
+    """Amplitudes and capacity (`layout`, `secret_cells`, `planning`)."""
 
     # Least amplitude of a carrier against a pure luma carrier. Chroma is subsampled in every screenshot, but on the
     # model itself all three carriers read equally well and three carriers hold three times the chips

@@ -5,20 +5,16 @@ copies share, on top of the owner's layer, which is in all copies. So k copies g
 however they are put together, what is left carries the owner's layer and the mean of their own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Bool, Float64, Int32, Int64
+from engine.model import Bool, Float32, Float64, Int32, Int64
 from engine.watermark.code_shares import combined
 from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence, Residual
 from engine.watermark.spreading import Spreading, spread_copy
-
-__all__ = ["CopyLayer", "without_owner"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +24,7 @@ class CopyLayer:
     layout: Layout
     grain: Grain
 
-    def at(self, rows: Int64 | Int32) -> CopyLayer:
+    def at(self, rows: Int64 | Int32) -> "CopyLayer":
         """Of these Gaussians alone."""
         return replace(self, layout=self.layout.at(rows))
 
@@ -51,6 +47,12 @@ class CopyLayer:
         if kept is not None:
             grain = grain.of(np.repeat(kept, ATTRIBUTES))
         return tint.then(grain)
+
+    def displacements(self, values: Float64) -> tuple[Float32, Float64 | None]:
+        """What chips of these values displace colors (N, D) by, and centers and sizes (6 N,), None without a grain."""
+        tint, grain = np.split(values, [self.layout.chips])
+        shift = self.layout.displace(self.layout.amplitudes * tint)
+        return shift, self.grain.displacements(grain) if self.grain.there else None
 
 
 def without_owner(found: Residual, owner: Float64) -> Residual:

@@ -17,8 +17,7 @@ from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
 from engine.watermark.config import CONFIG
-from engine.watermark.grain import ATTRIBUTES, Grain
-from engine.watermark.grain_kernels import axes_of, middle_of
+from engine.watermark.grain import ATTRIBUTES, Grain, axes_of, middle_of, turned_axes
 from engine.watermark.model_evidence import Evidence
 
 FLAT, THINNEST = CONFIG.grain.flat, CONFIG.grain.thinnest
@@ -69,12 +68,17 @@ def _partners(ref_axes, axes, ref_logs, logs):
     if first + second + third == 3 and first != second and min(c0, min(c1, c2)) > SURE:
         return first, second, third
     r, s = _ranks(ref_logs), _ranks(logs)
-    place = (
+    return (
         0 if s[0] == r[0] else (1 if s[1] == r[0] else 2),
         0 if s[0] == r[1] else (1 if s[1] == r[1] else 2),
         0 if s[0] == r[2] else (1 if s[1] == r[2] else 2),
     )
-    return place
+
+
+@inlined
+def _row(values, i):
+    """Three numbers in double precision."""
+    return np.float64(values[i, 0]), np.float64(values[i, 1]), np.float64(values[i, 2])
 
 
 @parallel_kernel
@@ -94,20 +98,14 @@ def _differences(
             continue
         q = quats[i]
         axes = axes_of(_product(whole, (np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))))
-        q = ref_quats[j]
-        ref_axes = axes_of((np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])))
-        x, y, z = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        ref_axes = turned_axes(ref_quats, j)
+        x, y, z = _row(means, i)
         gap = (
             move[0, 0] * x + move[0, 1] * y + move[0, 2] * z + shift[0] - ref_means[j, 0],
             move[1, 0] * x + move[1, 1] * y + move[1, 2] * z + shift[1] - ref_means[j, 1],
             move[2, 0] * x + move[2, 1] * y + move[2, 2] * z + shift[2] - ref_means[j, 2],
         )
-        ref_logs = (
-            np.float64(ref_log_scales[j, 0]),
-            np.float64(ref_log_scales[j, 1]),
-            np.float64(ref_log_scales[j, 2]),
-        )
-        logs = (np.float64(log_scales[i, 0]), np.float64(log_scales[i, 1]), np.float64(log_scales[i, 2]))
+        ref_logs, logs = _row(ref_log_scales, j), _row(log_scales, i)
         top, bottom = max(ref_logs[0], max(ref_logs[1], ref_logs[2])), min(ref_logs[0], min(ref_logs[1], ref_logs[2]))
         least = FLAT * math.exp(ref_logs[0] + ref_logs[1] + ref_logs[2] - top - bottom)
         partner = _partners(ref_axes, axes, ref_logs, logs)

@@ -10,8 +10,7 @@ import numpy as np
 from engine.model import Float32, GaussianModel
 from engine.raster import Rendering, View, backward
 from engine.watermark.config import CONFIG
-from engine.watermark.grain import ATTRIBUTES, Grain, thin
-from engine.watermark.grain_kernels import pull_along
+from engine.watermark.grain import ATTRIBUTES, Grain, pull_along, thin
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.kernels.thread_crew import run_turns, thread_count
 from engine.model import SH_C0, Bool, Float32, Float64
+from engine.numerics.tables import first_at_least
 from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import ColorChange
 from engine.pictures.alignment.residual import image_cotangent
@@ -25,7 +27,6 @@ from engine.pictures.jpeg.coded_blocks import agreement, block_spread, find_grid
 from engine.pictures.jpeg.coded_chroma import CodedChroma
 from engine.pictures.jpeg.config import CONFIG as JPEG
 from engine.raster import View
-from engine.watermark.alike_kernels import scale_alike, sum_alike
 from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.grain_pictures import GrainView
@@ -156,6 +157,29 @@ def _scale_by_scatter(layer: Evidence, kinds: int) -> None:
         sum_alike(y, weights, signal, edges, sums, _CONFIG.rows)
         expected, scatter = sums.sum(axis=0)
         scale_alike(y, weights, signal, edges, np.maximum(expected, 0.0) / np.maximum(scatter, 1e-300))
+
+
+@parallel_kernel
+def sum_alike(y, weights, signal, edges, sums, rows, call):  # type: ignore[no-untyped-def]
+    """Of each block of so many `rows` of chips, to `sums` (B, 2, A): by classes of |w s| between `edges` (A - 1,), the
+    sums of w s and of (w y)^2, of chips whose w s is not 0."""
+    for block in share_of(len(sums), call):
+        for i in range(block * rows, min((block + 1) * rows, len(y))):
+            answer = weights[i] * signal[i]
+            if answer != 0.0:
+                alike = first_at_least(edges, abs(answer))
+                sums[block, 0, alike] += answer
+                sums[block, 1, alike] += (weights[i] * y[i]) ** 2
+
+
+@parallel_kernel
+def scale_alike(y, weights, signal, edges, scales, call):  # type: ignore[no-untyped-def]
+    """Multiply y and s of each chip by what its class is scaled by; those whose w s is 0 become 0."""
+    for i in share_of(len(y), call):
+        answer = weights[i] * signal[i]
+        scale = scales[first_at_least(edges, abs(answer))] if answer != 0.0 else 0.0
+        y[i] *= scale
+        signal[i] *= scale
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,6 @@ that keystream. Nothing here comes from a statistical generator: half of the chi
 nothing about the other half, and a chip of a key that had no part in a suspect is a fair coin.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import os
@@ -83,7 +81,7 @@ class OwnerKey:
         return hash(self.fingerprint)
 
     @classmethod
-    def generate(cls) -> OwnerKey:
+    def generate(cls) -> "OwnerKey":
         """A fresh key of 32 bytes from the operating system's generator."""
         return cls(secrets.token_bytes(MIN_SECRET_BYTES))
 
@@ -114,7 +112,7 @@ class OwnerKey:
         return HKDF(SHA256(), length, _SALT, info).derive(self.secret)
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> OwnerKey:
+    def read(cls, path: str | os.PathLike[str]) -> "OwnerKey":
         """Read a key file written by `write`.
 
         KeyFileError if the file is missing, may be read or written by others than its owner, is no key file, is of a
@@ -132,7 +130,7 @@ class OwnerKey:
         return cls.from_text(data.decode("ascii"), name)
 
     @classmethod
-    def from_text(cls, text: str, name: str = "the key") -> OwnerKey:
+    def from_text(cls, text: str, name: str = "the key") -> "OwnerKey":
         """The key that the text of a key file holds; KeyFileError as in `read`, under this name."""
         lines = [line.strip() for line in text.splitlines()]
         head = lines[0].split() if lines else []

@@ -12,8 +12,6 @@ Lattices are found in the values themselves, column by column, since a file does
 - *segments*: even steps that change from some row to the next, where such files were cropped or several were merged.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,8 +19,6 @@ import numpy as np
 from engine.model import Bool, Float32, Float64, GaussianModel
 from engine.watermark.config import CONFIG
 from engine.watermark.keys import uniform
-
-__all__ = ["Lattices", "find_lattices"]
 
 _CONFIG = CONFIG.lattice
 CHUNK = 256

@@ -54,11 +54,16 @@ def layered_z(evidence: Evidence, signs: Signs, tint: int, *, either_way: bool =
     if len(signs) != len(c):
         raise ValueError(f"a mark has {len(signs)} signs, the evidence {len(c)} chips")
     terms = c * signs
-    parts = {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(c) > tint else {})
-    sums = {name: (float(terms[part].sum()), float(c[part] @ c[part])) for name, part in parts.items()}
+    parts = layer_parts(len(c), tint).items()
+    sums = {name: (float(terms[part].sum()), float(c[part] @ c[part])) for name, part in parts}
     total = sum(t for t, _ in sums.values()), sum(n for _, n in sums.values())
     z = {name: t / math.sqrt(n) if n > 0 else 0.0 for name, (t, n) in ({"both": total} | sums).items()}
     return Layered(z, max(z, key=lambda name: abs(z[name]) if either_way else z[name]))
+
+
+def layer_parts(chips: int, tint: int) -> dict[str, slice]:
+    """Where the chips of each layer lie, by its name, without the grain where there is none."""
+    return {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if chips > tint else {})
 
 
 def only(evidence: Evidence, layer: str, tint: int) -> Evidence:

@@ -14,8 +14,6 @@ from engine.model import Float64
 from engine.watermark.config import CONFIG
 from engine.watermark.image_evidence import PictureEvidence
 
-__all__ = ["Together", "find_contradicting"]
-
 _CONFIG = CONFIG.evidence
 
 

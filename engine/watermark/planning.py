@@ -34,7 +34,7 @@ class PlanConfig:
     texture_exponent: float = 0.5
     balance_rounds: int = 12  # rounds that even out the mark's energy over the key views
     # A DC value that a larger share of the Gaussians, and far more than the values around it, have is not moved (see
-    # `masses`); 1 moves all
+    # `find_masses`); 1 moves all
     mass_share: float = 0.005
     # The second layer: how far a centre moves, in its Gaussian's own size, and a log scale; 0 leaves it out. Less where
     # that would show (see `layer_strengths`)

@@ -147,8 +147,3 @@ def public_values(chips: int) -> Float64:
 def public_signs(chips: int) -> Float64:
     """(chips,) +-1 that are public: they stand for a key's signs where these must not be used."""
     return np.asarray(2.0 * np.random.default_rng(0).integers(0, 2, chips, dtype=np.int8) - 1.0, dtype=np.float64)
-
-
-def signed_amplitudes(amplitudes: Float64, spreading: Spreading, message: npt.NDArray[np.int8]) -> Float64:
-    """(C,) displacement of each chip: amplitude times size, chip and the sign of its bit (message of +-1)."""
-    return amplitudes * spreading.values(message)

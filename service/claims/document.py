@@ -14,7 +14,7 @@ from engine.present.numerals import TYPOGRAPHIC, Form, when
 from engine.present.reading import reading_of
 from engine.present.wording import Words, recognizes, words_of
 from engine.records.timestamps import stamped_at
-from engine.watermark.derivation import NOT_FOUND, Derivation
+from engine.watermark.claim import NOT_FOUND, Derivation
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.clock import LOG
 from service.http.results import Reading

@@ -15,7 +15,7 @@ from engine.lab.sim.attacks import image_attack
 from engine.lab.sim.physics.deformations import bend
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.alignment.local_flow import LocalAlignment
-from engine.pictures.camera.found_camera import FoundCamera
+from engine.pictures.camera.camera_search import FoundCamera
 from engine.raster import render, render_depth
 
 SIDE = 256

@@ -23,9 +23,9 @@ from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
 from engine.records.record import Record
 from engine.watermark.grain import units
-from engine.watermark.masses import find_masses
 from engine.watermark.messages import message_hex, message_signs
 from engine.watermark.planning import PlanConfig
+from engine.watermark.secret_cells import find_masses
 
 pytestmark = pytest.mark.slow
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from engine.compress.impact import seen_harmonics
 from engine.flows.embed import refinement
 from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import RefineConfig
@@ -207,6 +208,6 @@ def test_harmonics_show_as_the_rasterizer_draws_them(ball: Ball) -> None:
     sh = add_dc(ball.model.sh, wide)
     position = camera.position.astype(np.float32)
     added = sh_colors(sh, ball.model.means, position) - sh_colors(ball.model.sh, ball.model.means, position)
-    harmonics = torch.from_numpy(refinement._harmonics(ball.model, camera, 1))
+    harmonics = torch.from_numpy(seen_harmonics(ball.model, camera, 1))
     shown = refinement._shown(torch.from_numpy(wide), harmonics).numpy()
     np.testing.assert_allclose(shown, added, atol=2e-6)

@@ -16,7 +16,8 @@ from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.sim.attacks import image_attack, model_attack
 from engine.model import Camera, Float32
 from engine.pictures.alignment.tone_and_light import TONES, ViewerTone, find_viewer_tone
-from engine.pictures.camera.found_camera import DEFAULT_SETTINGS, FoundCamera
+from engine.pictures.camera.camera_search import FoundCamera
+from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS
 from engine.raster import draw, prepare_view, render, sh_colors
 from tests.flows.conftest import SCENE
 

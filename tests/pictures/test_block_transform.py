@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from engine.pictures.jpeg.block_transform import inverse_transform, transform
-from engine.pictures.jpeg.coded_blocks import tiles
+from engine.pictures.jpeg.coded_blocks import inverse_transform, tiles, transform
 
 
 def test_it_is_scipys_and_goes_back() -> None:

@@ -14,8 +14,7 @@ from scipy import ndimage
 from engine.model import Float32, Float64
 from engine.pictures.alignment.residual import OPPONENT, image_cotangent
 from engine.pictures.alignment.tone_and_light import Toned
-from engine.pictures.jpeg.block_transform import transform
-from engine.pictures.jpeg.coded_blocks import tiles
+from engine.pictures.jpeg.coded_blocks import tiles, transform
 from engine.pictures.jpeg.coded_chroma import CodedChroma
 from tests.pictures.image_cases import coarse_picture
 

@@ -11,9 +11,8 @@ import pytest
 from engine.model import Camera, GaussianModel
 from engine.pictures.camera import camera_proposals, camera_search
 from engine.pictures.camera.camera_proposals import Candidate
-from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.camera_search import FoundCamera, find_camera
 from engine.pictures.camera.config import CONFIG
-from engine.pictures.camera.found_camera import FoundCamera
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
 from tests.pictures.plant_views import around, jpeg, reprojection

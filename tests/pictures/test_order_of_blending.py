@@ -14,8 +14,7 @@ from engine.pictures.camera.camera_proposals import Candidate
 from engine.pictures.camera.camera_search import follow_camera
 from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import Level
-from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
-from engine.pictures.camera.pose_refinement import Refined
+from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS, Refined
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around
 

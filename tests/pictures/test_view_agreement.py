@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.model import Float64, Int64
-from engine.pictures.camera.view_agreement import MOST, agreement_of_views
+from engine.pictures.camera.voted_views import MOST, agreement_of_views
 from tests.reference.view_agreement import agreement_slowly
 
 

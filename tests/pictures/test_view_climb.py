@@ -14,9 +14,9 @@ from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.picture_edges import PictureEdges
-from engine.pictures.camera.view_climb import Climbed, _distinct, climb
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 from engine.pictures.camera.view_scores import SIDE
+from engine.pictures.camera.view_search import Climbed, _best_apart, climb
 from engine.pictures.camera.voted_views import VotedView
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render_depth
@@ -76,8 +76,8 @@ def test_cameras_that_are_nearly_one_are_one(plant: GaussianModel) -> None:
     camera = around(plant, 40.0, 25.0, 6.0)
     near, far = rolled(camera, np.radians(3.0)), rolled(camera, np.radians(8.0))
     each = [Climbed(float(k), one, 0) for k, one in enumerate((far, near, camera))]
-    assert [found.score for found in _distinct(each, 3)] == [2.0, 0.0]
-    assert [found.score for found in _distinct([*each, Climbed(1.5, near, 1)], 2)] == [2.0, 1.5], "another picture's"
+    assert [found.score for found in _best_apart(each, 3)] == [2.0, 0.0]
+    assert [found.score for found in _best_apart([*each, Climbed(1.5, near, 1)], 2)] == [2.0, 1.5], "another picture's"
     kept = [each.kept for each in CONFIG.edges.rounds]
     assert kept == sorted(kept)[::-1], "never more than before"
 

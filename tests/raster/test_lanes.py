@@ -24,9 +24,10 @@ from engine.raster.lane_memory import (
     store,
     store_quarters,
     store_some,
+    sum_rows,
+    transpose,
 )
 from engine.raster.lane_order import unzip3, unzip4, zip3, zip4
-from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import (
     bits_of,
     fma,

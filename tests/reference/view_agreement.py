@@ -1,4 +1,4 @@
-"""Votes that agree, one pair and one vote at a time: what `engine.pictures.camera.view_agreement` does in a kernel."""
+"""Votes that agree, one pair and one vote at a time: what `engine.pictures.camera.voted_views` does in a kernel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from engine.model import Float64, Int64
-from engine.pictures.camera.view_agreement import APART, LARGEST, MOST, SMALLEST, TOLERANCE
+from engine.pictures.camera.voted_views import APART, LARGEST, MOST, SMALLEST, TOLERANCE
 
 
 def agreement_slowly(view: Int64, spots: Float64, places: Float64, gain: Float64) -> tuple[Int64, Float64]:

@@ -10,8 +10,8 @@ import pytest
 from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.registration.looks_index import ReferenceIndex
+from engine.registration.patches import apply, blend, fit_affine, warped
 from engine.registration.registration_search import Registration, RegistrationConfig, register
-from engine.registration.warp import apply, blend, fit_affine, warped
 from tests.registration.deformation_cases import CASES, bend, squash, twist
 from tests.registration.registration_cases import TRAIN, marked, merged, moved, near, noised, scene, shuffled
 

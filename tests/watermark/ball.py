@@ -14,7 +14,7 @@ from engine.flows.views.view_set import ViewSet, look
 from engine.model import Camera, GaussianModel
 from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import Plan, PlanConfig, make_plan
-from engine.watermark.spreading import Spreading, signed_amplitudes, spread
+from engine.watermark.spreading import Spreading, spread
 
 KEY = OwnerKey(bytes(range(32)))
 
@@ -69,5 +69,5 @@ def marked_ball(count: int = 900, views: int = 3, size: int = 96, stages: int = 
     plan = make_plan(learnt, impact, PlanConfig(stages=stages))
     spreading = spread(KEY, b"ball", plan.layout.codes, 3, bits)
     message = np.where(np.arange(bits) % 3 == 0, 1, -1).astype(np.int8)
-    signed = signed_amplitudes(plan.layout.amplitudes, spreading, message)
+    signed = plan.layout.amplitudes * spreading.values(message)
     return Ball(model, original, impact, learnt, plan, spreading, message, signed)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.watermark.claim import Circumstances, Claim, ClaimConfig, Transform, Verdict, decide
-from engine.watermark.derivation import Derivation
+from engine.watermark.claim import Circumstances, Claim, ClaimConfig, Derivation, Transform, Verdict, decide
 from engine.watermark.keys import signs
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence

@@ -10,7 +10,7 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import derive_message, message_hex, message_signs
 from engine.watermark.planning import LUMA, check_capacity, make_carriers
-from engine.watermark.spreading import signed_amplitudes, spread
+from engine.watermark.spreading import spread
 
 KEY = OwnerKey(bytes(range(32)))
 
@@ -78,8 +78,8 @@ def test_signed_amplitudes_flip_with_the_message() -> None:
     layout = small_layout()
     spreading = spread(KEY, b"x", layout.codes, 3, 16)
     message = message_signs("a5c3")
-    signed = signed_amplitudes(layout.amplitudes, spreading, message)
-    np.testing.assert_allclose(signed, -signed_amplitudes(layout.amplitudes, spreading, -message))
+    signed = layout.amplitudes * spreading.values(message)
+    np.testing.assert_allclose(signed, -layout.amplitudes * spreading.values(-message))
     np.testing.assert_allclose(np.abs(signed), layout.amplitudes)
 
 

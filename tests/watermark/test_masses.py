@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from engine.watermark.keys import OwnerKey
-from engine.watermark.masses import find_masses
-from engine.watermark.secret_cells import OWNER, cells_key, multiples
+from engine.watermark.secret_cells import OWNER, cells_key, find_masses, multiples
 
 
 def test_a_value_in_one_channel_that_many_share_is_a_mass() -> None:

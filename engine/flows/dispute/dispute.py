@@ -26,8 +26,6 @@ from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.rates import moment
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
-__all__ = ["Dispute", "Look", "Party", "settle"]
-
 COPIED = 0.25 * WATERMARK.planning.mark_scale
 """Largest typical difference of colours, SH units, between a model and its copy: a quarter of what a mark moves. Trade
 formats round to less."""

@@ -3,8 +3,6 @@
 A buyer's copy differs by its copy layer alone: message, cells and the owner's layer are the asset's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,8 +24,6 @@ from engine.model import GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.record import Record
 from engine.watermark.messages import derive_message
-
-__all__ = ["Asset", "bank_of", "known_landmarks"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,6 @@ Where the owner allows a loss (a pruning budget), every way of spending it (`way
 first. `mark3dgs evaluate --suite promises` holds every promise against what pictures show.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import time
@@ -39,8 +37,6 @@ from engine.watermark.image_evidence import layer_evidence
 from engine.watermark.keys import OwnerKey
 from engine.watermark.spreading import ONE_BIT, grain_key, spread, spread_grain
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, signed_z, z_threshold
-
-__all__ = ["Choice", "Rehearsal", "Rehearsing", "choose", "wanted_z", "ways"]
 
 _CONFIG, _REHEARSAL = CONFIG.auto, CONFIG.rehearsal
 REHEARSAL_SEED = 0x5EED
@@ -175,7 +171,7 @@ class Choice:
         """
         return self.rehearsal.predicted_z >= self.wanted_z
 
-    def report(self) -> ChoiceReport:
+    def report(self) -> "ChoiceReport":
         """The choice in plain values."""
         config, found = self.config, self.rehearsal
         return ChoiceReport(

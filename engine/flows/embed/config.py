@@ -5,8 +5,6 @@ Fidelities are PSNR in dB or SSIM of the marked against the unmarked render, in 
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "EmbedConstants"]
-
 
 @dataclass(frozen=True)
 class AutoConfig:

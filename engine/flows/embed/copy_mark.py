@@ -6,8 +6,6 @@
    own would give its values away to anyone who compares copies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -37,7 +35,7 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.lattice import FREE, Lattices
 from engine.watermark.messages import Signs
 from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
-from engine.watermark.spreading import ONE_BIT, public_values, signed_amplitudes, spread_grain
+from engine.watermark.spreading import ONE_BIT, public_values, spread_grain
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,7 @@ class Committed:
     draws: Draws | None = None  # by whom a part of each plan is drawn
     stamps: tuple[bytes, ...] = ()  # time stamps by which it was, of the plans so far; the last is this one's
 
-    def drawn_for(self, key: OwnerKey, model: GaussianModel, settled: Settled) -> Committed:
+    def drawn_for(self, key: OwnerKey, model: GaussianModel, settled: Settled) -> "Committed":
         """With what is drawn for this plan, in place of what was for another."""
         if self.draws is None:
             return self
@@ -126,7 +124,7 @@ def make_owner_mark(
         check_capacity(bits, capacity)
         committed = committed.drawn_for(key, model, settled)
         drawn = draw_owner(key, committed.asset, plan.layout, committed.plan(model, settled))
-        signed = signed_amplitudes(plan.layout.amplitudes, drawn.tint, committed.message)
+        signed = plan.layout.amplitudes * drawn.tint.values(committed.message)
         rough = None
         if grain.there:
             chips = spread_grain(drawn.grain_key, len(model), bits, sized=True)
@@ -148,9 +146,9 @@ def as_a_copy(model: GaussianModel, copies: CopyLayer | None, tint: Float32, rou
     """The model displaced by the owner's layer as a copy of it will be, but for values that are not its own."""
     if copies is None:
         return displaced(model, tint, rough)
-    usual = copies.layout.displace(copies.layout.amplitudes * public_values(copies.layout.chips))
-    own = copies.grain.displacements(public_values(copies.grain.chips(len(model))))
-    return displaced(model, tint + usual, _sum(rough, own if copies.grain.there else None))
+    chips = copies.layout.chips, copies.grain.chips(len(model))
+    usual, own = copies.displacements(np.concatenate([public_values(count) for count in chips]))
+    return displaced(model, tint + usual, _sum(rough, own))
 
 
 def make_mark(
@@ -165,10 +163,7 @@ def make_mark(
     for draw in range(CONFIG.strength.copy_draws):
         plan = committed.plan(model, settled, draw)
         secret = draw_copy(key, committed.asset, copy, plan)
-        values = copies.spreading(secret, None, len(model)).values(ONE_BIT)
-        tint, grain = values[: copies.layout.chips], values[copies.layout.chips :]
-        copied = copies.layout.displace(copies.layout.amplitudes * tint)
-        rough = copies.grain.displacements(grain) if copies.grain.there else None
+        copied, rough = copies.displacements(copies.spreading(secret, None, len(model)).values(ONE_BIT))
         marked = displaced(model, owner.tint + copied, _sum(owner.rough, rough))
         marked = owner.lattices.onto(model, marked, secret)
         made = Mark(marked, plan, copied, measure(views, marked, at_view))
@@ -189,13 +184,10 @@ def mark_again(opened: OpenedRecord) -> GaussianModel:
 def whole_displacements(opened: OpenedRecord) -> tuple[Float32, Float64 | None]:
     """As `owner_displacements`, with the copy layer's on top."""
     tint, rough = owner_displacements(opened)
-    if opened.copies is not None:
-        copies = opened.copies
-        values = opened.copy_spreading().values(ONE_BIT)
-        tint = tint + copies.layout.displace(copies.layout.amplitudes * values[: copies.layout.chips])
-        if copies.grain.there:
-            rough = _sum(rough, copies.grain.displacements(values[copies.layout.chips :]))
-    return tint, rough
+    if opened.copies is None:
+        return tint, rough
+    copied, own = opened.copies.displacements(opened.copy_spreading().values(ONE_BIT))
+    return tint + copied, _sum(rough, own)
 
 
 def displaced(model: GaussianModel, tint: Float32, rough: Float64 | None) -> GaussianModel:

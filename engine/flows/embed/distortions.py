@@ -14,13 +14,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from engine.model import Float32
+from engine.pictures.alignment.residual import OPPONENT
 from engine.pictures.jpeg.coded_blocks import STANDARD_LUMA_TABLE
+from engine.pictures.jpeg.coded_chroma import STANDARD_CHROMA_TABLE
 
 JPEG_LUMA = STANDARD_LUMA_TABLE.astype(np.float32)
-JPEG_CHROMA = np.full((8, 8), 99, dtype=np.float32)
-JPEG_CHROMA[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
+JPEG_CHROMA = STANDARD_CHROMA_TABLE.astype(np.float32)
 
-_TO_YCC = torch.tensor([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
+_TO_YCC = torch.tensor(OPPONENT)
 
 
 @lru_cache(maxsize=1)

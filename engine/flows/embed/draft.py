@@ -3,8 +3,6 @@
 `auto_profile` rehearses drafts; the embedding goes on from the one that was chosen, so nothing is planned twice.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -20,12 +18,9 @@ from engine.records.header import Arrays
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
 from engine.watermark.lattice import FREE, Lattices, find_lattices
-from engine.watermark.masses import find_masses
 from engine.watermark.planning import Plan, make_plan
-from engine.watermark.secret_cells import COPIES, OWNER, cells_key, jitter, join_cells, multiples
+from engine.watermark.secret_cells import COPIES, OWNER, cells_key, find_masses, jitter, join_cells, multiples
 from engine.watermark.unpredictability import unexplained
-
-__all__ = ["Draft"]
 
 
 @dataclass(frozen=True, eq=False)

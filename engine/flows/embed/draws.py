@@ -1,7 +1,5 @@
 """What is drawn for the plans of one asset (`flows.records.draw`), one draw for all of its copies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,8 +7,6 @@ from engine.errors import InputError
 from engine.flows.records.draw import DRAWN, draw_request, stamps_in, terms_of
 from engine.records.record import Plan, Record
 from engine.watermark.keys import OwnerKey
-
-__all__ = ["SECOND_WATERMARK", "Draws", "Stamp", "is_copy_of", "second_watermark", "shares_layer"]
 
 Stamp = Callable[[bytes], bytes]
 """Asks a time-stamping service for a stamp (reply, DER) of these bytes, and raises where there is none."""

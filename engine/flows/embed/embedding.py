@@ -29,7 +29,7 @@ from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.progress import Clock, Progress
-from engine.flows.records.draw import stamps_extra
+from engine.flows.records.draw import shared_values, stamps_extra
 from engine.flows.records.opened_record import ORIGIN
 from engine.flows.views.view_set import SeenView, psnr_by_view
 from engine.model import GaussianModel
@@ -171,11 +171,8 @@ def _prepare(
 
     with clock.stage("look"):  # 1
         # What was rehearsed on is gone on from: nothing is looked at twice.
-        original = (
-            choice.ground
-            if choice
-            else lay_groundwork(model, key, original_sha256, settings, terms.cameras, variant, clock)
-        )
+        seen = (model, key, original_sha256, settings, terms.cameras, variant, clock)
+        original = choice.ground if choice else lay_groundwork(*seen)
     # 2, 3, 4
     draft = choice.draft if choice else Draft(deliver(original, settings, clock), variant, key, copied)
     with clock.stage("quantize"):
@@ -183,15 +180,7 @@ def _prepare(
     with clock.stage("landmarks"):
         known = None if terms.earlier is None else known_landmarks(terms.earlier, digest, settings)
         bank = bank_of(draft.delivery.model, original.extent, settings, clock, known)
-    return Asset(
-        original=original,
-        original_sha256=original_sha256,
-        terms=terms,
-        settings=settings,
-        choice=choice,
-        draft=draft,
-        bank=bank,
-    )
+    return Asset(original, original_sha256, terms, settings, choice, draft, bank)
 
 
 @one_blas_thread
@@ -262,8 +251,6 @@ def _check_shared(earlier: Record, plan: Plan, asset: Asset) -> None:
     if not shares_layer(earlier, asset.draft.digest, asset.draft.key):
         return
     ours, arrays = plan
-    copies = [{**each["copies"], "draw": 0} if "copies" in each else None for each in (earlier.plan, ours)]
-    same = copies[0] == copies[1] and {**earlier.plan, "copies": 0} == {**ours, "copies": 0}
-    same &= set(arrays) == set(earlier.plan_arrays)
+    same = shared_values(earlier.plan) == shared_values(ours) and set(arrays) == set(earlier.plan_arrays)
     if not (same and all(np.array_equal(earlier.plan_arrays[n], arrays[n]) for n in arrays)):
         raise second_watermark(earlier)

@@ -20,8 +20,6 @@ from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 if TYPE_CHECKING:
     from engine.catalogue.entry import SeenPoints
 
-__all__ = ["Bank", "bank_views", "make_bank"]
-
 _CONFIG = CONFIG.bank
 
 

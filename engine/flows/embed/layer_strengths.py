@@ -232,7 +232,8 @@ def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN, 
         each = measure_each(views, rough, at_view, chosen)
         found = worst_of(each)
         if not tried:  # the views that show it worst decide, and are enough from then on
-            chosen = sorted({each.index(min(each, key=lambda view: view.psnr_db)), each.index(min(each, key=_ssim))})
+            worst = min(each, key=lambda view: view.psnr_db), min(each, key=lambda view: view.ssim)
+            chosen = sorted({each.index(view) for view in worst})
         room = math.log(found.room_to(allowed)) if np.isfinite(found.psnr_db) else math.inf
         tried.append((factor, room, found))
         if -_CONFIG.close < room < _CONFIG.waste or (room > 0.0 and factor == 1.0):
@@ -245,10 +246,6 @@ def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN, 
     close = -_CONFIG.close
     factor, _, spent = max(tried, key=lambda each: (each[1] > close, each[0] if each[1] > close else -each[0]))
     return Grained(grain.times(factor), spent)
-
-
-def _ssim(found: Fidelity) -> float:
-    return found.ssim
 
 
 def measure_each(

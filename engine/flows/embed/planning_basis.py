@@ -3,8 +3,6 @@
 Made once for an embedding; `auto_profile` rehearses on it and hands it on, so that a choice costs no second look.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,8 +24,6 @@ from engine.formats.file_writing import stray_rows
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.keys import POSE, OwnerKey, uniform
-
-__all__ = ["Groundwork", "lay_groundwork"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +92,7 @@ class Groundwork:
             return [left[i].with_side(side) for i in spread]
         return make_rig(self.model, count, side, side, jitter=rng.random((count, 4)), extent=self.extent)
 
-    def of(self, model: GaussianModel, clock: Clock) -> Groundwork:
+    def of(self, model: GaussianModel, clock: Clock) -> "Groundwork":
         """Of another model in its place, seen from its views."""
         if model is self.model:
             return self

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from engine.compress.impact import uncertainty
+from engine.compress.impact import seen_harmonics, uncertainty
 from engine.flows.embed.asset import Asset
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.copy_mark import Mark, OwnerMark
@@ -26,7 +26,6 @@ from engine.flows.embed.distortions import draw
 from engine.flows.embed.layer_strengths import Fidelity, add_dc, measure, solve_strength
 from engine.flows.embed.profiles import RefineConfig
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
-from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.wavelet import coefficient_detail, dwt2
 from engine.raster import View, prepare_view, sh_colors
 from engine.watermark.layout import Layout
@@ -124,7 +123,7 @@ def refine(
     renders = [torch.from_numpy(view.render(base)[0]) for view, base in zip(views, bases, strict=True)]
     pattern, groups = _bit_patterns(tint)
     degree = int(np.sqrt(displacement.shape[1] // 3)) - 1
-    harmonics = [torch.from_numpy(_harmonics(model, c, degree)) for c in small]
+    harmonics = [torch.from_numpy(seen_harmonics(model, c, degree)) for c in small]
     rms = float(np.sqrt((displacement**2).mean()))
     doubt = np.clip(np.sqrt(uncertainty / np.median(uncertainty)), 0.3, 3.0).astype(np.float32)
     start, rows, doubt = (displacement, [], doubt) if codes is None else _code_vectors(layout, signed, doubt)
@@ -163,13 +162,6 @@ def _of_gaussians(delta: Tensor, rows: list[Tensor]) -> Tensor:
         return delta
     # The gradient of delta[row] is summed in any order by several threads; that of this one always in one order.
     return torch.stack([delta.index_select(0, row) for row in rows]).sum(dim=0)
-
-
-def _harmonics(model: GaussianModel, camera: Camera, degree: int) -> Float32:
-    """(N, K) basis functions at the directions in which a camera sees each Gaussian."""
-    direction = model.means - camera.position.astype(np.float32)
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-    return sh_basis(direction, degree).astype(np.float32)
 
 
 def _shown(displacement: Tensor, harmonics: Tensor) -> Tensor:

@@ -11,8 +11,6 @@ from engine.model import Camera
 from engine.records.record import Record
 from engine.watermark.messages import Signs, check_bits
 
-__all__ = ["MarkOptions", "MarkTerms"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkTerms:

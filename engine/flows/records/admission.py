@@ -20,8 +20,6 @@ import numpy.typing as npt
 from engine.errors import InputError, MalformedRecordError
 from engine.watermark.messages import message_signs
 
-__all__ = ["EXTRA", "PLAN", "PLAN_ARRAYS", "ArrayRule", "admit"]
-
 Array = npt.NDArray[Any]
 
 

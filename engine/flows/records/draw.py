@@ -11,9 +11,9 @@ holder can change what its signature does not cover, and nothing of that may dec
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from engine.errors import MalformedRecordError
 from engine.numerics.plain import Json
@@ -24,8 +24,6 @@ from engine.watermark.keys import OwnerKey
 
 if TYPE_CHECKING:
     from cryptography import x509
-
-__all__ = ["DRAWN", "STAMPS", "Draw", "draw_request", "stamps_extra", "stamps_in", "terms_of"]
 
 DRAWN = "drawn"
 """Name of the commitment to what was drawn. In records without a stamp a service drew it by itself, and could have
@@ -75,11 +73,14 @@ def draw_request(original: bytes, terms: bytes) -> bytes:
 
 def terms_of(key: OwnerKey, reference_digest: bytes, plan: Plan) -> bytes:
     """What is stamped of a plan, 32 bytes: all that the owner's layer follows from but what is drawn for it."""
-    shared = dict(plan[0])
-    if "copies" in shared:
-        shared["copies"] = {**shared["copies"], "draw": 0}
+    shared = shared_values(plan[0])
     commitments = {name: text for name, text in shared.pop("commitments", {}).items() if name != DRAWN}
     return make_draw_terms(key, reference_digest, shared | {"commitments": commitments}, plan[1])
+
+
+def shared_values(values: Mapping[str, Any]) -> Json:
+    """A plan's JSON values but for which draw of the copy layer it is: the same in all copies of an asset."""
+    return dict(values) | ({"copies": {**values["copies"], "draw": 0}} if "copies" in values else {})
 
 
 def stamps_extra(stamps: Sequence[bytes]) -> Json:

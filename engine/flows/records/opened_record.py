@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError, MalformedRecordError
 from engine.flows.records.admission import admit
-from engine.flows.records.draw import DRAWN, Draw, stamps_in, terms_of
+from engine.flows.records.draw import DRAWN, Draw, shared_values, stamps_in, terms_of
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int32
 from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -180,9 +180,7 @@ class Drawn:
 
 def draw_owner(key: OwnerKey, reference_digest: bytes, layout: Layout, plan: Plan) -> Drawn:
     """What all copies with this plan have in common; `draw_copy` draws the rest."""
-    shared = dict(plan[0])
-    if "copies" in shared:
-        shared["copies"] = {**shared["copies"], "draw": 0}
+    shared = shared_values(plan[0])
     asset_id = make_record_id(key, reference_digest, "", shared, plan[1])
     context = chip_context(reference_digest, asset_id)
     bits = 4 * len(shared["message"])

@@ -8,8 +8,6 @@
 The claim stays what it was: nothing here enters it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,8 +27,6 @@ from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.regions import Partition, RegionConfig, Regions, State, divide, judge_regions
 from engine.watermark.statistics import log10_false_claim_bound
-
-__all__ = ["FoundPiece", "RegionReport", "locate_mark"]
 
 
 @dataclass(frozen=True, eq=False)

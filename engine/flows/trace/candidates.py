@@ -7,8 +7,6 @@
 4. The answer that says most stands first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -17,14 +15,11 @@ from typing import Generic, Protocol, TypeVar
 from engine.errors import RecordError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.trace.config import CONFIG
-from engine.flows.trace.copies import Copies, asset_of
+from engine.flows.trace.copies import CONFIG, Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Answer, Suspect, Verification, count_tries, verify
 from engine.numerics.blas import one_blas_thread
 from engine.watermark.claim import Claim, Verdict
-
-__all__ = ["Candidate", "Outcome", "Search", "search"]
 
 
 class Candidate(Protocol):

@@ -4,14 +4,11 @@ They have the reference in common, and so where it lies and what every Gaussian 
 their copy layer, too. Before, cells, chips and amplitudes were each copy's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.trace.config import CONFIG
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.gaussian_evidence import compare_tint, read_grain, read_tint
 from engine.flows.verify.search import Reading, Suspect, readings, time_budget
@@ -19,7 +16,17 @@ from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual
 
-__all__ = ["Copies", "asset_of"]
+
+@dataclass(frozen=True)
+class TraceConfig:
+    """Which copies are verified by themselves, and what is kept of them."""
+
+    stands_out: float = 2.5  # z of a copy, read as another one, from which it is verified alone: 1 in 160 innocent ones
+    most_grains: int = 4  # grain readings kept: copies have few strengths of it, and each takes 24 bytes a chip
+    damped: float = 0.75  # share of the owner's layer's strength below which a copy's own was damped by others
+
+
+CONFIG = TraceConfig()
 
 
 def asset_of(opened: OpenedRecord) -> tuple[str, bool, bytes]:
@@ -72,7 +79,7 @@ class Copies:
         width = opened.layout.width
         if width not in self._compared:
             self._compared = {width: compare_tint(*read)}
-        model = read_tint(*read, self._compared[width])
+        model = read_tint(opened, self._compared[width])
         if opened.grain.there:
             if opened.grain not in self._grain:
                 if len(self._grain) == CONFIG.most_grains:

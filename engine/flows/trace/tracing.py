@@ -14,8 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.trace.config import CONFIG
-from engine.flows.trace.copies import Copies, asset_of
+from engine.flows.trace.copies import CONFIG, Copies, asset_of
 from engine.flows.verify.decision import VerifyConfig, read_copy, strength_left
 from engine.flows.verify.search import Suspect, count_tries
 from engine.model import Camera, Float32, GaussianModel
@@ -24,8 +23,6 @@ from engine.numerics.plain import Json
 from engine.watermark.layers import layered_z
 from engine.watermark.rates import BASES, AppliedRate
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
-
-__all__ = ["CopyFinding", "Tracing", "count_copy_tries", "judge_copy", "trace", "trace_images", "trace_model"]
 
 SIGNS = 2
 """A copy's mark may show turned round."""

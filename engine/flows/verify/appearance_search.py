@@ -28,8 +28,6 @@ from engine.pictures.camera.camera_search import CameraConfig, find_camera
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render_depth
 
-__all__ = ["Place", "Sighting", "place_by_looking"]
-
 _CONFIG = CONFIG.appearance
 RECOGNITION = CameraConfig(other_focals=(), framed=False, uneven=False)
 """The focal length of a render is known, so no other is tried, and nothing is around it."""

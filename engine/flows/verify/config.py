@@ -3,8 +3,6 @@
 import math
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "VerifyConstants"]
-
 
 @dataclass(frozen=True)
 class AppearanceConfig:

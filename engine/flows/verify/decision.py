@@ -8,9 +8,19 @@ from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.model import Camera
 from engine.registration.registration_search import Registration
-from engine.watermark.claim import LINEAR, SCATTERED, Circumstances, Claim, ClaimConfig, Transform, Verdict, decide
-from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.layers import layered_z, only
+from engine.watermark.claim import (
+    LINEAR,
+    NOT_FOUND,
+    SCATTERED,
+    Circumstances,
+    Claim,
+    ClaimConfig,
+    Derivation,
+    Transform,
+    Verdict,
+    decide,
+)
+from engine.watermark.layers import layer_parts, layered_z, only
 from engine.watermark.messages import Signs, message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import adaptive_weights, decode_paper
@@ -96,7 +106,8 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     signs = spreading.signs(opened.message)
     layered = layered_z(evidence, signs, tint)
     chosen, layers = only(evidence, layered.strongest, tint), dict(layered.z)
-    sums = {name: moments(*evidence.part(part)) for name, part in _layers(evidence, tint).items()}
+    parts = layer_parts(len(evidence.y), tint)
+    sums = {name: moments(*evidence.part(part)) for name, part in parts.items()}
     known: Moments | None = (
         reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
     )
@@ -116,7 +127,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         notes=(*reading.notes, *_notes(reading)),
         layers=layers if len(layers) > 1 and opened.grain.there else None,
         # That of both together lies between them.
-        change=max(change(*whole.part(part)) for part in _layers(evidence, tint).values()),
+        change=max(change(*whole.part(part)) for part in parts.values()),
         sums=known,
         copy_z=None if (copy := read_copy(reading, opened)) is None else copy.z,
     )
@@ -124,11 +135,6 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     if reading.left_out and claim.verdict is Verdict.NOT_MARKED:  # what was not read may hold it
         claim = replace(claim, verdict=Verdict.INCONCLUSIVE, missing=OUT_OF_TIME)
     return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim
-
-
-def _layers(evidence: Evidence, tint: int) -> dict[str, slice]:
-    """Where the chips of each layer lie; the names are `layers.LAYERS`."""
-    return {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(evidence.y) > tint else {})
 
 
 def _other_ways(reading: Reading, evidence: Evidence, spreading: Spreading) -> Iterator[tuple[str, Evidence]]:

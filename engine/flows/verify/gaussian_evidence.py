@@ -4,8 +4,6 @@ renders and pictures, and for all that reads them.
 Of the copy layer there is one reading for all copies of an asset, blind to the chips of each.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,21 +14,10 @@ from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.gaussians import surface_mass
 from engine.numerics.similarity import mirror_model
 from engine.registration.registration_search import Registration
+from engine.watermark.claim import Derivation
 from engine.watermark.copy_layer import CopyLayer, grain_without_owner, without_owner
-from engine.watermark.derivation import Derivation
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
-
-__all__ = [
-    "compare_tint",
-    "copy_of_gaussians",
-    "derivation_of_model",
-    "duplicate_weights",
-    "read_gaussians",
-    "read_grain",
-    "read_layers",
-    "read_tint",
-]
 
 _CONFIG = CONFIG.evidence
 
@@ -69,17 +56,13 @@ def read_layers(
 ) -> tuple[Evidence, Evidence | None]:
     """Of the layer that carries the claim, as `read_gaussians`; and of the copy layer, where the record has one."""
     compared = compare_tint(suspect, opened, registration)
-    tint = read_tint(suspect, opened, registration, compared)
+    tint = read_tint(opened, compared)
     grain = read_grain(suspect, opened, registration) if opened.grain.there else None
     return tint if grain is None else tint.then(grain), copy_of_gaussians(opened, compared, grain)
 
 
-def read_tint(
-    suspect: GaussianModel, opened: OpenedRecord, registration: Registration, compared: Residual | None = None
-) -> Evidence:
+def read_tint(opened: OpenedRecord, compared: Residual) -> Evidence:
     """What the suspect's colours say, in the cells of this record; `compared` as `compare_tint` gives it."""
-    if compared is None:
-        compared = compare_tint(suspect, opened, registration)
     tint = gather_residual(opened.layout, compared)
     return replace(tint, signal=opened.strength * tint.signal)
 

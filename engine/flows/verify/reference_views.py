@@ -1,7 +1,5 @@
 """A record's reference as a camera sees it, and what a mark of public signs adds to that."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,8 +21,6 @@ from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
 from engine.watermark.spreading import public_signs
 from engine.watermark.unpredictability import public_misfit
-
-__all__ = ["ReferenceView", "ReferenceViews", "grain_view", "seen_shift"]
 
 OPAQUE = CONFIG.color_change.opaque
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
@@ -50,7 +46,7 @@ class ReferenceViews:
 
     def at(
         self, camera: Camera, settings: RasterSettings = RasterSettings(), tone: ViewerTone | None = None
-    ) -> ReferenceView:
+    ) -> "ReferenceView":
         """The reference from one camera; `tone` is the viewer's."""
         model, grain = self._model, self.opened.grain
         own = steep = toned = None
@@ -84,7 +80,7 @@ class ReferenceViews:
         size = np.sqrt(np.square(layout.displace(self.opened.strength * layout.amplitudes)).mean())
         return Misfit(public_misfit(reference, measure_extent(reference).radius), float(size))
 
-    def changed_as(self, view: ReferenceView, picture: Float32, mask: Bool) -> ReferenceViews | None:
+    def changed_as(self, view: "ReferenceView", picture: Float32, mask: Bool) -> "ReferenceViews | None":
         """The reference with its colors changed as those of the model that a picture (H, W, 3) in a view's pixels
         shows; None where they were not, or are changed already."""
         changed = self.change is not None or view.blur is not None or view.tone is not None
@@ -111,12 +107,12 @@ class ReferenceView:
     tone: ViewerTone | None = None  # that the Gaussians' colors went through,
     steep: Float32 | None = None  # and its slope (N, 3) at them
 
-    def blurred(self, blur: Blur) -> ReferenceView:
+    def blurred(self, blur: Blur) -> "ReferenceView":
         """This sharp view as a picture shows it that was blurred so."""
         plain, alpha, mark = (blur.apply(image) for image in (self.plain, self.alpha, self.mark))
         return replace(self, plain=plain, alpha=alpha, mark=mark, blur=blur)
 
-    def softened(self, sigma: float) -> ReferenceView:
+    def softened(self, sigma: float) -> "ReferenceView":
         """This view as a picture shows it that was blurred by `sigma` pixels."""
         return replace(self, plain=smooth(self.plain, sigma), mark=smooth(self.mark, sigma))
 

@@ -16,8 +16,6 @@ Verification tests one record (`verify`), tracing all copies of an asset (`copie
 (`trace.candidates`), the simulator every object of a file (`count_tries`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

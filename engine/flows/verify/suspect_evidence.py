@@ -4,8 +4,6 @@ Of the copy layer there is one reading for all copies of an asset, blind to the 
 known to the reader, and taken off first: signs of one layer are fair whatever the other's are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -45,23 +43,10 @@ from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render
 from engine.registration.registration_search import Registration
 from engine.registration.visibility import only_drawn
-from engine.watermark.derivation import NOT_FOUND, Derivation
+from engine.watermark.claim import NOT_FOUND, Derivation
 from engine.watermark.image_evidence import PictureEvidence, gather_again
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.picture_agreement import Together
-
-__all__ = [
-    "ReadPicture",
-    "Seen",
-    "copy_of_pictures",
-    "derivation_of_pictures",
-    "derivation_of_sight",
-    "far_views",
-    "read_found",
-    "read_known",
-    "read_pictures",
-    "read_renders",
-]
 
 _CONFIG = CONFIG.evidence
 
@@ -85,7 +70,7 @@ class _Laid:
             return self.view.read(image, self.mask, self.behind.through)
         return self.view.read(self.alignment.warped, self.mask)
 
-    def washed(self) -> _Laid:
+    def washed(self) -> "_Laid":
         """The picture over the reference with its colors changed, where those of the picture's model were."""
         reference = self.view.of.changed_as(self.view, self.alignment.warped, self.mask)
         if reference is None:
@@ -372,7 +357,7 @@ def read_pictures(
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
     far = cache(lambda: far_views(opened.reference))
-    bank = cache(lambda: _bank_views(opened))
+    bank = cache(lambda: [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
             break
@@ -418,11 +403,6 @@ def _how_read(number: int, read: ReadPicture) -> Iterator[str]:
         yield f"blurred: picture {number + 1} was compared with renders blurred alike ({how})"
     if read.change is not None:
         yield _washed(f"picture {number + 1} looks like one of", read.change)
-
-
-def _bank_views(opened: OpenedRecord) -> list[Camera]:
-    """Where the record's landmarks were seen from."""
-    return [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference)
 
 
 def _find(

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "ViewsConfig"]
-
 
 @dataclass(frozen=True)
 class RigConfig:

@@ -15,8 +15,6 @@ from engine.model import Camera, GaussianModel
 from engine.raster import count_overlaps
 from engine.raster.settings import TILE
 
-__all__ = ["check_drawable", "is_drawable"]
-
 _CONFIG = CONFIG.cost
 
 

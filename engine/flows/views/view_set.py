@@ -65,12 +65,9 @@ class SeenView:
         return psnr(self.image, render(model, self.camera))
 
 
-def worst_psnr_against(
-    images: Sequence[Float32], cameras: Sequence[Camera], at_view: AtView | None = None
-) -> Callable[[GaussianModel], float]:
+def worst_psnr_against(images: Sequence[Float32], cameras: Sequence[Camera]) -> Callable[[GaussianModel], float]:
     """Function from a candidate model to its worst view's PSNR against given renders."""
-
-    return lambda candidate: min(psnr_by_view(images, cameras, candidate, at_view))
+    return lambda candidate: min(psnr_by_view(images, cameras, candidate))
 
 
 def psnr_by_view(

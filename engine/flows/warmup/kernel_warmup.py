@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping
 
 from engine.flows.warmup.warmup_steps import Step, Work, steps_of
 from engine.kernels.kernel_cache import folder
-from engine.kernels.machine import module_command, usable_cores
 from engine.kernels.machine_code import on_compiling
+from engine.kernels.native_check import module_command
+from engine.kernels.thread_crew import usable_cores
 
 __all__ = ["Work", "expected_seconds", "warm_up"]
 

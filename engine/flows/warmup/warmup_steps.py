@@ -26,8 +26,8 @@ from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.pose_refinement import refine_level
-from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.camera.view_search import search_views
+from engine.pictures.camera.voted_views import agreement_of_views
 from engine.pictures.jpeg.coded_blocks import find_quality
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
@@ -40,8 +40,6 @@ from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence
-
-__all__ = ["STEPS", "Step", "Work", "steps_of"]
 
 Work = Literal["embed", "model", "pictures", "main", "everything"]
 """Embedding; verifying a model; verifying pictures; these three; and with them discs."""
@@ -69,17 +67,17 @@ def steps_of(work: Work) -> dict[str, Step]:
 def _embedding() -> None:
     labels = split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
     group_means(np.eye(8, 6, dtype=np.float32), labels, np.ones(8))
-    _roughen(8)
+    _roughen()
     learn_palette(np.arange(48.0, dtype=np.float32).reshape(16, 3), 4)
     learn_codebook(np.arange(600.0), levels=4)
     picture = np.eye(16, dtype=np.float32)
     ssim(picture, picture)
 
 
-def _roughen(n: int) -> None:
-    ones = np.ones((n, 4), dtype=np.float32)
+def _roughen() -> None:
+    ones = np.ones((8, 4), dtype=np.float32)
     model = GaussianModel(ones[:, :3], ones[:, :3], ones, ones[:, 0], ones[:, None, :3])
-    roughen(model, Grain(0.1, 0.1), np.ones((n, ATTRIBUTES), dtype=np.float32))
+    roughen(model, Grain(0.1, 0.1), np.ones((8, ATTRIBUTES), dtype=np.float32))
 
 
 def _registration() -> None:
@@ -136,7 +134,7 @@ def _alignment() -> None:
     search_views(FarViews(model, [camera]).views, PictureEdges.of(seen), 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
-    _roughen(8)
+    _roughen()
     drawn = raster.draw(model, camera)
     GrainView(drawn, Grain(0.1, 0.1)).pull(drawn.view, seen)
 

@@ -6,7 +6,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-from engine.kernels.machine import usable_cores
+from engine.kernels.thread_crew import usable_cores
 
 __all__ = ["load_per_core", "machine_info", "peak_memory_mb"]
 

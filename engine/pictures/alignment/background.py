@@ -15,8 +15,6 @@ from engine.model import Bool, Float32
 from engine.numerics.resampling import smooth
 from engine.pictures.alignment.config import CONFIG
 
-__all__ = ["Background", "fill_background", "find_background"]
-
 _CONFIG = CONFIG.background
 
 

@@ -21,8 +21,6 @@ from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.brightness_fit import robust_scale
 from engine.pictures.alignment.config import CONFIG
 
-__all__ = ["Blur", "find_blur"]
-
 _CONFIG = CONFIG.blur
 
 

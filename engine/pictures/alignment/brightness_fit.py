@@ -8,8 +8,6 @@ from engine.model import Float32, Float64
 from engine.numerics.resampling import map_points, sample, smooth
 from engine.pictures.alignment.config import CONFIG
 
-__all__ = ["Fit", "fit_warp", "robust_line", "robust_scale", "still_rms"]
-
 _CONFIG = CONFIG.planar
 
 

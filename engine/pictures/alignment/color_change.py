@@ -19,7 +19,7 @@ far as the washing left it.
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # those that name SciPy's modules would load them
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,8 +32,6 @@ from engine.formats.morton import morton_order
 from engine.model import SH_C0, Bool, Float32, Float64, Int64
 from engine.pictures.alignment.config import CONFIG
 from engine.raster import View
-
-__all__ = ["Alike", "ColorChange", "ColorSmoothing", "Denoising", "Misfit", "Neighborhoods", "find_color_change"]
 
 _CONFIG = CONFIG.color_change
 

@@ -5,8 +5,6 @@ Image values are 0..1; lengths are in pixels where no other unit is named.
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "AlignmentConfig"]
-
 
 @dataclass(frozen=True)
 class PlanarConfig:

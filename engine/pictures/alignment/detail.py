@@ -11,8 +11,6 @@ from engine.model import Bool, Camera, Float32
 from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.config import CONFIG
 
-__all__ = ["compare_detail", "correlation", "uncovered"]
-
 _CONFIG = CONFIG.detail
 
 

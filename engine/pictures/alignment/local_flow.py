@@ -11,8 +11,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +20,6 @@ from engine.numerics.resampling import remap, resized, smooth
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import predict_brightness
 from engine.pictures.landmarks.keypoints import luma
-
-__all__ = ["LocalAlignment", "align_locally"]
 
 _CONFIG = CONFIG.flow
 

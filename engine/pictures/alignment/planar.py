@@ -22,8 +22,6 @@ from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import predict_brightness
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma, match_within
 
-__all__ = ["Alignment", "align_either_hand", "align_image", "align_near", "align_upright", "near_motions"]
-
 _CONFIG = CONFIG.planar
 
 

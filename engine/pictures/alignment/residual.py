@@ -22,8 +22,6 @@ from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import Toned, fit_colors, robust_regression
 
-__all__ = ["OPPONENT", "image_cotangent"]
-
 _CONFIG = CONFIG.residual
 OPPONENT = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], dtype=np.float32)
 """Rows: Y, Cb, Cr of JPEG. JPEG treats brightness and chroma apart, and so must the weights."""

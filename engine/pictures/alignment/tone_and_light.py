@@ -28,18 +28,6 @@ from engine.pictures.alignment.config import CONFIG
 from engine.pictures.landmarks.keypoints import LUMA, noise_level
 from engine.raster import RasterSettings, Rendering, draw
 
-__all__ = [
-    "TONES",
-    "Toned",
-    "ViewerTone",
-    "find_viewer_tone",
-    "fit_colors",
-    "fit_light",
-    "fit_tone",
-    "predict_brightness",
-    "robust_regression",
-]
-
 _CONFIG, _LIGHT, _VIEWER = CONFIG.tone, CONFIG.light, CONFIG.viewer_tone
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from engine.model import Camera, Float64
 from engine.pictures.camera.config import CONFIG
 
-__all__ = ["CENTERED", "PARAMETERS", "UNEVEN", "carried", "moved", "normalized", "point_columns", "project", "swung"]
-
 PARAMETERS, CENTERED, UNEVEN = 9, 7, 11
 """Of a motion; of one that leaves the principal point where it is; and with the shape of the pixels (`pixel_shape`)."""
 

@@ -3,8 +3,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,21 +12,18 @@ from engine.model import Camera
 from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.pixel_shape import PixelShape
+from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS
 from engine.pictures.camera.uneven_pixels import find_shape, refine_shape
-from engine.pictures.camera.view_climb import Climbed, climb
 from engine.pictures.camera.view_points import ViewPoints
-from engine.pictures.camera.view_search import search_views
+from engine.pictures.camera.view_search import Climbed, climb, search_views
 from engine.pictures.camera.viewer_frame import find_frame
 from engine.pictures.camera.voted_views import VotedView, vote_for_views
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
-
-__all__ = ["Candidate", "Candidates"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,15 +13,13 @@
 6. The camera of step 2 or 5, if there is one, is the result.
 7. All other keypoint candidates. Steps 7 to 9 are left out where step 1 has explained the picture.
 8. Views of the bank that keypoints vote for (`voted_views`).
-9. Outlines, edges and colors of many views (`view_search`), and a climb from the best (`view_climb`).
+9. Outlines, edges and colors of many views (`view_search`), and a climb from the best.
 10. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, blurred as the
    picture is (`alignment.blur`), to about a hundredth of a pixel.
 
 A picture of another scene fails at the correlation with the render, or at the correlation of their details
 (`Refined.alike`). Nothing here sees a key or a chip.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -38,12 +36,48 @@ from engine.pictures.camera.camera_proposals import Candidate, Candidates
 from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.found_camera import FoundCamera
-from engine.pictures.camera.pose_refinement import Refined
+from engine.pictures.camera.pixel_shape import PixelShape
+from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS, Refined
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
 
-__all__ = ["CameraConfig", "FoundCamera", "find_camera", "find_subject", "follow_camera"]
+
+@dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """The camera of a picture."""
+
+    camera: Camera  # of what `face` makes of the picture; square pixels
+    inliers: int  # matches that agree with the pose found from keypoints; 0 where these did not help
+    rms: float  # robust standard deviation of the brightness residual, 0..1
+    correlation: float  # of picture and render, -1..1
+    step: float  # root mean square flow of the last step of the refinement, pixels
+    gain: float = 0.0  # how much likelier its render makes the picture than a flat colour does, natural logarithm
+    uncovered_correlation: float = 0.0  # of picture and render where nothing lies over the model
+    mirrored: bool = False  # it is the camera of the picture turned over left to right
+    settings: RasterSettings = DEFAULT_SETTINGS  # with which the render of the reference is most like it
+    shape: PixelShape | None = None  # of the picture's pixels, where these are not square
+    frame: tuple[slice, slice] | None = None  # rows and columns in which that picture shows it, where not in all
+
+    def face(self, image: Float32) -> Float32:
+        """The picture (h, w, 3) as this camera sees it: with square pixels, cut to its frame, turned over left to right
+        if mirrored."""
+        if self.shape is not None:
+            image = self.shape.undo(image)
+        if self.frame is not None:
+            image = np.ascontiguousarray(image[self.frame])
+        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
+
+    def of_whole(self, image: Float32) -> Camera:
+        """The camera of the whole picture (h, w, 3), in square pixels, turned over if mirrored."""
+        height, width = image.shape[:2]
+        if self.shape is not None:
+            width, height = self.shape.square_size(width, height)
+        if self.frame is None:
+            return self.camera
+        rows, columns = self.frame
+        K = self.camera.K.copy()
+        K[:2, 2] += width - columns.stop if self.mirrored else columns.start, rows.start
+        return Camera(self.camera.viewmat, K, width, height)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """A picture compared with renders of a model: how well a camera explains it, and refinement of the camera."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -12,14 +10,11 @@ from engine.pictures.alignment.background import fill_background
 from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.camera.camera_motion import CENTERED
 from engine.pictures.camera.config import CONFIG, Level
-from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.keypoint_cameras import match_closer
 from engine.pictures.camera.pose_ransac import Hypothesis
-from engine.pictures.camera.pose_refinement import Drawing, Refined, refine_level
+from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS, Drawing, Refined, refine_level
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
-
-__all__ = ["Picture"]
 
 
 class Picture:

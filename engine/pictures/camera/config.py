@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["CONFIG", "CameraSearchConfig", "ClimbRound", "Level"]
-
 
 @dataclass(frozen=True)
 class Level:
@@ -21,7 +19,7 @@ class Level:
 
 @dataclass(frozen=True)
 class ClimbRound:
-    """One round of the climb (`view_climb`)."""
+    """One round of the climb (`view_search`)."""
 
     degrees: float  # of a step around what the camera sees
     distances: tuple[float, ...]  # of other cameras, in the camera's own distance
@@ -63,7 +61,7 @@ class KeypointConfig:
 
 @dataclass(frozen=True)
 class VoteConfig:
-    """Votes of keypoints for views of the bank (`voted_views`, `view_agreement`)."""
+    """Votes of keypoints for views of the bank (`voted_views`)."""
 
     nearest: int = 8  # landmarks a keypoint votes for; the next nearest is the yardstick
     apart: float = 8.0  # least distance of the two votes that say how a view was turned, sized and shifted, pixels
@@ -80,7 +78,7 @@ class VoteConfig:
 @dataclass(frozen=True)
 class EdgeConfig:
     """Search by outlines, edges and colors (`view_points`, `view_scores`, `picture_edges`, `view_search`), and the
-    climb from there (`view_climb`)."""
+    climb from there."""
 
     side: int = 96  # longer side of the picture that is searched, and of the views, pixels
     points: int = 72  # on edges of a view: half on its silhouette, half inside,

@@ -3,8 +3,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 
@@ -16,8 +14,6 @@ from engine.numerics.gaussians import merge_groups
 from engine.pictures.camera.camera_motion import farther, swung
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, describe_view
-
-__all__ = ["FarViews", "merged_in_voxels"]
 
 _AXIS = 21
 """Bits that number the voxels of an axis."""

@@ -3,8 +3,6 @@
 And how well a reduced render correlates with the part of the picture in which such a camera sees the model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,8 +21,6 @@ from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render_depth
 
-__all__ = ["MatchedKeypoints", "NearRender", "Window", "keypoints_of", "match_closer", "match_near"]
-
 _CONFIG = CONFIG.keypoints
 
 
@@ -38,7 +34,7 @@ class MatchedKeypoints:
     matches: Sequence[tuple[Int64, Int64]]
 
     @classmethod
-    def of(cls, keypoints: Keypoints, landmarks: Landmarks, size: tuple[int, int]) -> MatchedKeypoints:
+    def of(cls, keypoints: Keypoints, landmarks: Landmarks, size: tuple[int, int]) -> "MatchedKeypoints":
         """What these keypoints match."""
         radius = _CONFIG.same_place * _radius(landmarks)
         matches = match_landmarks(keypoints, landmarks, _CONFIG.ratios, radius, _CONFIG.views)
@@ -137,7 +133,7 @@ class NearRender:
 
     matched: MatchedKeypoints
     camera: Camera  # of the part
-    window: Window  # where the part lies
+    window: "Window"  # where the part lies
 
 
 def match_near(model: GaussianModel, gray: Float32, camera: Camera, least: float = -1.0) -> NearRender | None:
@@ -189,7 +185,7 @@ class Window:
     resemblance: float  # of picture and render there, -1 to 1
 
     @classmethod
-    def around(cls, model: GaussianModel, camera: Camera, gray: Float32) -> Window | None:
+    def around(cls, model: GaussianModel, camera: Camera, gray: Float32) -> "Window | None":
         """Where a camera sees the model, in a picture of this brightness (H, W); None where it does not."""
         import cv2
 

@@ -4,8 +4,6 @@ Directions of edges count without their sign, and colours by their correlation, 
 nor the tone of a viewer matters much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,8 +17,6 @@ from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, gradient
 from engine.pictures.camera.view_scores import BINS, PAD, SIDE, look_again
 
-__all__ = ["PictureEdges", "apart", "stacked"]
-
 
 @dataclass(frozen=True, eq=False)
 class PictureEdges:
@@ -29,7 +25,7 @@ class PictureEdges:
     small: Float32  # (h, w, 3), 0..1
 
     @classmethod
-    def of(cls, picture: Float32) -> PictureEdges:
+    def of(cls, picture: Float32) -> "PictureEdges":
         """Of a picture (H, W, 3), 0..1."""
         import cv2
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from engine.model import Camera, Float32, Float64
 
-__all__ = ["SQUARE", "PixelShape"]
-
 
 @dataclass(frozen=True)
 class PixelShape:

@@ -14,8 +14,6 @@ from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, UNEVEN, m
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
 
-__all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
-
 POSE = 6
 """Parameters of a motion without zoom."""
 

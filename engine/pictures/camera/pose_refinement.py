@@ -26,14 +26,15 @@ from engine.pictures.alignment.config import CONFIG as ALIGNMENT
 from engine.pictures.alignment.detail import compare_detail, correlation, uncovered
 from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved
 from engine.pictures.camera.config import CONFIG
-from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["Drawing", "Refined", "refine_level"]
-
 _CONFIG = CONFIG.refinement
 _UNKNOWNS = PARAMETERS + 2
+
+
+DEFAULT_SETTINGS = RasterSettings()
+"""How most viewers draw."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,6 @@ from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
 from engine.pictures.camera.pose_ransac import Hypothesis, fit_camera
 from engine.pictures.landmarks.keypoints import Keypoints, luma
 
-__all__ = ["find_shape", "refine_shape"]
-
 _CONFIG = CONFIG.shape
 
 

@@ -3,8 +3,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +12,6 @@ from engine.numerics.resampling import smooth
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_scores import spread_out
 from engine.raster import render_depth
-
-__all__ = ["ViewPoints", "describe_view", "gradient"]
 
 _CONFIG = CONFIG.edges
 

@@ -13,8 +13,6 @@ from engine.kernels.thread_crew import thread_count
 from engine.model import Bool, Float32, Float64, Int64
 from engine.pictures.camera.config import CONFIG
 
-__all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views", "spread_out"]
-
 SIDE, BINS, ROLLS = CONFIG.edges.side, CONFIG.edges.bins, CONFIG.edges.rolls
 BEYOND, LEAST_INSIDE = CONFIG.edges.beyond, CONFIG.edges.least_inside
 PAD = 2 * SIDE

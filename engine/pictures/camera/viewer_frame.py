@@ -16,8 +16,6 @@ from engine.pictures.camera.config import CONFIG
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render_depth
 
-__all__ = ["find_frame"]
-
 _CONFIG = CONFIG.frame
 
 

@@ -23,11 +23,8 @@ import scipy
 from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Bool, Float32, Float64
 from engine.pictures.alignment.tone_and_light import fit_colors
-from engine.pictures.jpeg.block_transform import inverse_transform, transform
 from engine.pictures.jpeg.config import CONFIG
 from engine.pictures.landmarks.keypoints import LUMA
-
-__all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
 
 STANDARD_LUMA_TABLE = np.array(
     [
@@ -214,15 +211,11 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     total = np.sqrt(spread**2 + CONFIG.rounding**2 + _mismatch(observed, known, steps) ** 2)
     whole = np.asarray(tiles(mask).all(axis=(2, 3)))  # (by, bx)
     score = np.zeros_like(known)
-    score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
+    multiples = _multiples(observed[whole], known[whole], steps)
+    score[whole] = score_intervals(multiples, known[whole], steps, np.broadcast_to(total, known.shape)[whole])
     image = np.zeros(mask.shape, dtype=np.float32)
     tiles(image)[...] = inverse_transform(score)
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
-
-
-def _score(observed: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
-    """(B, 8, 8) of blocks: how much likelier each unit of colour makes what was stored, `total` the spread of it."""
-    return score_intervals(_multiples(observed, known, steps), known, steps, total)
 
 
 def score_intervals(k: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
@@ -320,3 +313,27 @@ def _truncated_mean(low: Float64, high: Float64) -> Float64:
     density = np.exp(-0.5 * a**2 - log_mass) - np.exp(-0.5 * b**2 - log_mass)
     mean = density / np.sqrt(2 * np.pi)
     return np.asarray(np.where(flip, -mean, mean))
+
+
+_WAVES: Float64 = np.sqrt((1 + (np.arange(8) > 0)) / 8.0)[:, None] * np.cos(
+    np.pi / 16.0 * np.outer(np.arange(8), 2 * np.arange(8) + 1)
+)
+"""(8, 8) of each frequency the eight values of its wave."""
+
+
+def transform(blocks: npt.NDArray[np.floating]) -> Float64:
+    """Coefficients (..., 8, 8) of blocks of pixels (..., 8, 8), the slowest first."""
+    return _turned(blocks, _WAVES)
+
+
+def inverse_transform(coefficients: Float64) -> Float64:
+    """Pixels (..., 8, 8) of blocks of coefficients (..., 8, 8)."""
+    return _turned(coefficients, _WAVES.T)
+
+
+def _turned(blocks: npt.NDArray[np.floating], waves: Float64) -> Float64:
+    """waves @ block @ waves.T of each, as two products over all blocks. Importing `scipy.fft` instead takes 0.16 of the
+    1.8 CPU seconds in which a picture is verified."""
+    rows = np.asarray(blocks, dtype=np.float64).reshape(-1, 8) @ waves.T
+    columns = rows.reshape(-1, 8, 8).swapaxes(1, 2).reshape(-1, 8) @ waves.T
+    return np.ascontiguousarray(columns.reshape(-1, 8, 8).swapaxes(1, 2)).reshape(blocks.shape)

@@ -9,8 +9,6 @@ The picture may be another renderer's, whose error is as large as the steps: it 
 around each block, beside the rounding that follows from the reference. Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +16,15 @@ import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.pictures.alignment.residual import OPPONENT
-from engine.pictures.jpeg.block_transform import inverse_transform, transform
-from engine.pictures.jpeg.coded_blocks import mark_spread, scaled_table, score_intervals, tiles
+from engine.pictures.jpeg.coded_blocks import (
+    inverse_transform,
+    mark_spread,
+    scaled_table,
+    score_intervals,
+    tiles,
+    transform,
+)
 from engine.pictures.jpeg.config import CONFIG
-
-__all__ = ["CodedChroma"]
 
 STANDARD_CHROMA_TABLE = np.full((8, 8), 99.0)
 """ITU-T T.81, table K.2."""
@@ -41,7 +43,7 @@ class CodedChroma:
     whole: Bool  # (2, by, bx, 8, 8) those in blocks that carry evidence, and on a multiple
 
     @classmethod
-    def of(cls, picture: Float32, mask: Bool, pattern: Float32, quality: int) -> CodedChroma | None:
+    def of(cls, picture: Float32, mask: Bool, pattern: Float32, quality: int) -> "CodedChroma | None":
         """What a coder stored of a picture (H, W, 3), 0..1, whose luma it saved at a quality, in blocks that begin at
         the corner; None where no halves on that quality's steps explain the chroma.
 

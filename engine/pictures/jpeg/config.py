@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "JpegConfig"]
-
 
 @dataclass(frozen=True)
 class JpegConfig:

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["CONFIG", "LandmarksConfig"]
-
 
 @dataclass(frozen=True)
 class LandmarksConfig:

@@ -5,8 +5,6 @@ SIFT histogram, scaled to length 512. Products of such integers are exact in flo
 product and gives the same answer on every machine.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,8 +15,6 @@ from engine.model import Float32, Float64, Int64
 from engine.numerics.resampling import smooth
 from engine.numerics.wavelet import dwt2
 from engine.pictures.landmarks.config import CONFIG
-
-__all__ = ["LUMA", "Keypoints", "detect_keypoints", "luma", "match_within", "noise_level"]
 
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """Weights of R, G, B in brightness (BT.601, as JPEG)."""
@@ -36,7 +32,7 @@ class Keypoints:
     def __len__(self) -> int:
         return len(self.points)
 
-    def turned_over(self, width: float) -> Keypoints:
+    def turned_over(self, width: float) -> "Keypoints":
         """Those of the image turned over left to right, `width` pixels wide, to within what rounding makes of it.
 
         A descriptor is four rows and four columns along the keypoint's own direction, of eight directions relative to

@@ -18,8 +18,6 @@ from engine.pictures.landmarks.config import CONFIG
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 
-__all__ = ["match_landmarks", "match_projected"]
-
 _UNLIKE = 1 << 30  # a distance, squared, that no two descriptors have
 
 

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float32, Int32
 
-__all__ = ["Landmarks"]
-
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:

@@ -12,8 +12,6 @@ from engine.pictures.landmarks.keypoints import detect_keypoints, luma
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render_depth
 
-__all__ = ["lift", "make_landmarks"]
-
 
 def make_landmarks(
     model: GaussianModel,

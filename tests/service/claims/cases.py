@@ -12,8 +12,7 @@ from cryptography.x509 import load_pem_x509_certificates
 from PIL import Image
 
 from engine.records.timestamps import drawn_from
-from engine.watermark.claim import Circumstances, ClaimConfig, decide
-from engine.watermark.derivation import Derivation
+from engine.watermark.claim import Circumstances, ClaimConfig, Derivation, decide
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.rates import Attested, applicable_rate

@@ -20,8 +20,8 @@ from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
 from engine.registration.sketch import make_sketch
 from engine.watermark.keys import OwnerKey
-from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
+from engine.watermark.secret_cells import find_masses
 from service.work.candidates import find_marks
 from service.work.embedding import embed_mark
 from service.work.pictures import choose_view
