@@ -5,6 +5,7 @@ import numpy as np
 
 from engine.formats.repairs import Repair
 from engine.model import GaussianModel
+from engine.numerics.kd_tree import KdTree
 from engine.numerics.similarity import quaternion_to_rotation
 
 _POINTS, _SAMPLE, _NEAR = 1 << 17, 8192, 12  # Gaussians, those that are looked at, and the neighbors of each
@@ -25,9 +26,7 @@ def order_hint(model: GaussianModel) -> tuple[Repair, ...]:
     rows = rows[:: -(-max(len(rows), 1) // _SAMPLE)]
     if np.mean(np.abs(quats).argmax(axis=1) == 0) > _LEAD or len(rows) <= 10 * _NEAR:
         return ()
-    from scipy.spatial import cKDTree  # slow to load, and few models need it
-
-    near = means[cKDTree(means).query(means[rows], k=_NEAR + 1)[1]]  # (S, K + 1, 3)
+    near = means[KdTree(means).nearest(means[rows], _NEAR + 1)[1]]  # (S, K + 1, 3)
     across = np.linalg.svd(near - near.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 2]
     axis = logs[rows].argmin(axis=1)
 
