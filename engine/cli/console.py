@@ -70,9 +70,9 @@ class Console:
             _write(sys.stderr, text)
 
     def note_repairs(self, repairs: Iterable[Repair]) -> None:
-        """What was repaired on loading."""
+        """What was mended, ignored or noticed on reading."""
         for repair in repairs:
-            self.note(f"repaired: {repair.text}")
+            self.note(f"on reading: {repair.text}")
 
     def emit(self, report: Mapping[str, Any]) -> None:
         """The one JSON object on stdout."""

@@ -46,7 +46,7 @@ def inspect(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Describe a model file, and list what was repaired to read it.
+    """Describe a model file, and list what was mended, ignored or noticed on reading.
 
     Content Credentials (C2PA) in the file, or in its sidecar file (.c2pa), are
     shown, too, and what a glTF states of rights and provenance (XMP). They are
@@ -87,8 +87,8 @@ def inspect(
     console.say(f"  opacity     median {report['opacity_median']:.3f}")
     console.say(f"  scale       median {number(report['scale_median'])}")
     console.say(f"  sha256      {report['sha256']}")
-    repaired = [repair["text"] for repair in report["repairs"]] or ["nothing"]
-    console.say(*(f"  repaired    {text}" for text in repaired))
+    noted = [repair["text"] for repair in report["repairs"]] or ["nothing to note"]
+    console.say(*(f"  on reading  {text}" for text in noted))
     console.say(*(f"  {name:<12}{text}" for name, text in (report["metadata"] or {}).items() if text))
     if credentials is not None:
         _say_credentials(console, credentials)
