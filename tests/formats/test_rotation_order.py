@@ -1,4 +1,4 @@
-"""Rotations in another order are told by flat Gaussians that lie across their surface; others never."""
+"""Reading a file hints at quaternions in another order if flat Gaussians lie across their surface, else not."""
 
 from pathlib import Path
 
