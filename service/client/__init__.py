@@ -1,7 +1,7 @@
-"""A client of the service, sync and async, on httpx alone: it knows neither the service's code nor the engine.
+"""A client of the service, on httpx alone: it knows neither the service's code nor the engine.
 
-Installed, it is `mark3dgs.client`. Start at `calls` and `downloads` (what it can do); `wire` says what is sent
-again, `clients` sends it.
+Installed, it is `mark3dgs.client`. Start at `calls` and `downloads` (what it can do); `wire` sends, and says what is
+sent again.
 """
 
 from service.client.answers import (
@@ -24,7 +24,7 @@ from service.client.answers import (
     Verified,
     Webhook,
 )
-from service.client.clients import AsyncClient, Client
+from service.client.downloads import Client
 from service.client.errors import ServiceError
 from service.client.webhooks import check_webhook
 
@@ -32,7 +32,6 @@ __all__ = [
     "Acquisition",
     "Asset",
     "AssetReading",
-    "AsyncClient",
     "Bits",
     "Check",
     "Claim",

@@ -1,4 +1,4 @@
-"""What the clients can do, on a line of `wire`: the same for both."""
+"""What the client can do, but for downloads, on a line of `wire`."""
 
 import hashlib
 import os
@@ -6,7 +6,6 @@ import secrets
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar, Unpack
 from urllib.parse import quote
@@ -119,14 +118,14 @@ def address(kind: str, *parts: str) -> str:
 
 
 class Calls(Line):
-    """What both clients can do but for downloads."""
+    """What the client can do but for downloads."""
 
-    async def call(self, method: str, path: str, *, json: Any = None, params: Params | None = None) -> Any:
+    def call(self, method: str, path: str, *, json: Any = None, params: Params | None = None) -> Any:
         """Any request of the API: the JSON of its answer, None where it has no body. ServiceError for a bad answer."""
-        reply = await self._ask(Request(method, path, params or {}, json=json))
+        reply = self._ask(Request(method, path, params or {}, json=json))
         return reply.json() if reply.body else None
 
-    async def upload(self, source: Source, *, progress: Progress = silent) -> Upload:
+    def upload(self, source: Source, *, progress: Progress = silent) -> Upload:
         """Send a file, by pieces. What an earlier try left, of this process or another, is not sent again.
 
         Parameters
@@ -140,43 +139,43 @@ class Calls(Line):
         Upload
             Complete, with `info` on what the file is.
         """
-        announced = await self._work(partial(measure, source))
-        slot = await self._slot(announced)
+        announced = measure(source)
+        slot = self._slot(announced)
         path, breaks = address("uploads", slot.id), 0
         while slot.state == "open":
-            data = await self._work(partial(piece, source, slot.offset))
+            data = piece(source, slot.offset)
             if not data:
                 raise ServiceError("changed", f"{announced.name!r} became shorter while it was sent")
             headers = {"Upload-Offset": str(slot.offset), "Content-Type": "application/octet-stream"}
-            reply = await self._send(Request("PUT", path, headers=headers, content=data))
+            reply = self._send(Request("PUT", path, headers=headers, content=data))
             if not reply.good and reply.status not in (0, 408, 409):
                 raise reply.error()
             # No answer: some of it may have come, or all. 408: too slow a line. 409: another process sends this file.
-            before, slot = slot, read(Upload, reply.json() if reply.good else await self._look(path))
+            before, slot = slot, read(Upload, reply.json() if reply.good else self._look(path))
             breaks = breaks + 1 if slot.offset == before.offset else 0
             if breaks > BREAKS:
                 raise reply.error()
             if breaks:
-                await self._pause(FIRST_PAUSE * breaks)
+                time.sleep(FIRST_PAUSE * breaks)
             progress("upload", slot.offset / max(announced.size, 1))
         for _ in range(LOOKS):  # its answer was lost, and the service still looks at what came
             if slot.info is not None:
                 break
-            await self._pause(2 * FIRST_PAUSE)
-            slot = read(Upload, await self._look(path))
+            time.sleep(2 * FIRST_PAUSE)
+            slot = read(Upload, self._look(path))
         return slot
 
-    async def _slot(self, announced: Measured) -> Upload:
+    def _slot(self, announced: Measured) -> Upload:
         """An open upload of these very bytes, or a new one."""
-        listed = await self.call("GET", "/v1/uploads", params={"limit": "100"})
+        listed = self.call("GET", "/v1/uploads", params={"limit": "100"})
         for plain in listed["items"]:
             slot = read(Upload, plain)
             if (slot.state, slot.size, slot.sha256) == ("open", announced.size, announced.sha256):
                 return slot
         body = {"name": announced.name, "size": announced.size, "sha256": announced.sha256}
-        return read(Upload, await self.call("POST", "/v1/uploads", json=body))
+        return read(Upload, self.call("POST", "/v1/uploads", json=body))
 
-    async def submit_embed(
+    def submit_embed(
         self,
         model: Source,
         *,
@@ -185,12 +184,12 @@ class Calls(Line):
         **options: Unpack[EmbedOptions],
     ) -> Job:
         """Upload a model, and the cameras to mark it for, and start the job that marks it."""
-        named: dict[str, object] = {"upload_id": (await self.upload(model, progress=progress)).id}
+        named: dict[str, object] = {"upload_id": (self.upload(model, progress=progress)).id}
         if cameras is not None:
-            named["cameras_upload_id"] = (await self.upload(cameras)).id
-        return read(Job, await self._once("/v1/embed", {**named, **options}))
+            named["cameras_upload_id"] = (self.upload(cameras)).id
+        return read(Job, self._once("/v1/embed", {**named, **options}))
 
-    async def submit_verify(
+    def submit_verify(
         self,
         suspect: Source | Sequence[Source],
         *,
@@ -201,26 +200,26 @@ class Calls(Line):
         """Upload a suspect - a model, a picture, or several pictures of one - and start the job that checks it."""
         ids, kind = [], ""
         for source in [suspect] if isinstance(suspect, str | bytes | os.PathLike) else suspect:
-            sent = await self.upload(source, progress=progress)
+            sent = self.upload(source, progress=progress)
             ids.append(sent.id)
             kind = (sent.info or {}).get("kind", "")
         named: dict[str, object] = (
             {"upload_id": ids[0]} if len(ids) == 1 and kind == "model" else {"image_upload_ids": ids}
         )
         if cameras is not None:
-            named["cameras_upload_id"] = (await self.upload(cameras)).id
-        return read(Job, await self._once("/v1/verify", {**named, **options}))
+            named["cameras_upload_id"] = (self.upload(cameras)).id
+        return read(Job, self._once("/v1/verify", {**named, **options}))
 
-    async def _once(self, path: str, body: Mapping[str, object]) -> Any:
+    def _once(self, path: str, body: Mapping[str, object]) -> Any:
         # The service knows the key again: a request whose answer was lost is done once, not twice.
         headers = {"Idempotency-Key": secrets.token_hex(16)}
-        return (await self._ask(Request("POST", path, headers=headers, json=body, again=True))).json()
+        return (self._ask(Request("POST", path, headers=headers, json=body, again=True))).json()
 
-    async def job(self, job_id: str) -> Job:
+    def job(self, job_id: str) -> Job:
         """A job and its state."""
-        return read(Job, await self.call("GET", address("jobs", job_id)))
+        return read(Job, self.call("GET", address("jobs", job_id)))
 
-    async def wait(self, job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Job:
+    def wait(self, job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Job:
         """A job once it has ended, however it did; ServiceError "timed-out" after `timeout` seconds: it continues.
 
         A connection that breaks meanwhile is made anew.
@@ -229,7 +228,7 @@ class Calls(Line):
         etag, pause = "", FIRST_LOOK
         while True:
             headers = {"If-None-Match": etag} if etag else {}
-            reply = await self._send(Request("GET", address("jobs", job_id), headers=headers, again=True))
+            reply = self._send(Request("GET", address("jobs", job_id), headers=headers, again=True))
             if reply.status != 304:
                 if not reply.good:
                     raise reply.error()
@@ -240,14 +239,14 @@ class Calls(Line):
             if until is not None and time.monotonic() + pause > until:
                 text = f"job {job_id} has not ended within {timeout:g} s; it continues"
                 raise ServiceError("timed-out", text, values={"job": job_id})
-            await self._pause(pause)
+            time.sleep(pause)
             pause = min(2 * pause, LONGEST_LOOK)
 
-    async def cancel(self, job_id: str) -> Job:
+    def cancel(self, job_id: str) -> Job:
         """Stop a job; ServiceError "conflict" where it has ended."""
-        return read(Job, await self.call("DELETE", address("jobs", job_id)))
+        return read(Job, self.call("DELETE", address("jobs", job_id)))
 
-    async def embed(
+    def embed(
         self,
         model: Source,
         *,
@@ -257,10 +256,10 @@ class Calls(Line):
         **options: Unpack[EmbedOptions],
     ) -> Embedded:
         """Upload a model, have it marked, and wait; ServiceError if it fails (`values["job"]`: the job)."""
-        started = await self.submit_embed(model, cameras=cameras, progress=progress, **options)
-        return embedded(await self.wait(started.id, progress=progress, timeout=timeout))
+        started = self.submit_embed(model, cameras=cameras, progress=progress, **options)
+        return embedded(self.wait(started.id, progress=progress, timeout=timeout))
 
-    async def verify(
+    def verify(
         self,
         suspect: Source | Sequence[Source],
         *,
@@ -270,95 +269,93 @@ class Calls(Line):
         **options: Unpack[VerifyOptions],
     ) -> Verified:
         """Upload a suspect - a model, a picture, or several pictures of one - and wait for the signed answer."""
-        started = await self.submit_verify(suspect, cameras=cameras, progress=progress, **options)
-        return verified(await self.wait(started.id, progress=progress, timeout=timeout))
+        started = self.submit_verify(suspect, cameras=cameras, progress=progress, **options)
+        return verified(self.wait(started.id, progress=progress, timeout=timeout))
 
-    async def asset(self, asset_id: str) -> Asset:
+    def asset(self, asset_id: str) -> Asset:
         """One asset."""
-        return read(Asset, await self.call("GET", address("assets", asset_id)))
+        return read(Asset, self.call("GET", address("assets", asset_id)))
 
-    async def claim(self, claim_id: str) -> Claim:
+    def claim(self, claim_id: str) -> Claim:
         """A claim, with its signature."""
-        return read(Claim, await self.call("GET", address("claims", claim_id)))
+        return read(Claim, self.call("GET", address("claims", claim_id)))
 
-    async def me(self) -> Me:
+    def me(self) -> Me:
         """The API key of this client, its scopes, and the use of its tenant's limits."""
-        return read(Me, await self.call("GET", "/v1/me"))
+        return read(Me, self.call("GET", "/v1/me"))
 
-    async def assets(self, *, q: str = "", original: str = "") -> list[Asset]:
+    def assets(self, *, q: str = "", original: str = "") -> list[Asset]:
         """Assets of the tenant: all, with `q` in label, copy name, id or record id, or of one original (SHA-256)."""
-        return await self._all(Asset, "/v1/assets", {"q": q, "original": original})
+        return self._all(Asset, "/v1/assets", {"q": q, "original": original})
 
-    async def claims(
+    def claims(
         self, *, q: str = "", verdict: Literal["", "marked", "not_marked", "inconclusive"] = "", asset: str = ""
     ) -> list[ClaimSummary]:
         """Claims of the tenant: all; with a verdict; about the asset of an id; or found by `q`, a part of a suspect's
         file name, of an id, label or copy name, or a suspect's SHA-256."""
-        return await self._all(ClaimSummary, "/v1/claims", {"q": q, "verdict": verdict, "asset": asset})
+        return self._all(ClaimSummary, "/v1/claims", {"q": q, "verdict": verdict, "asset": asset})
 
-    async def jobs(
-        self, *, state: Sequence[State] = (), kind: Literal["", "embed", "verify", "dispute"] = ""
-    ) -> list[Job]:
+    def jobs(self, *, state: Sequence[State] = (), kind: Literal["", "embed", "verify", "dispute"] = "") -> list[Job]:
         """Jobs of the tenant: all, in one of some states, or of a kind."""
-        return await self._all(Job, "/v1/jobs", {"state": state, "kind": kind})
+        return self._all(Job, "/v1/jobs", {"state": state, "kind": kind})
 
-    async def share(self, claim_id: str, *, days: int = 14) -> Share:
+    def share(self, claim_id: str, *, days: int = 14) -> Share:
         """Make a share of a claim for 1 to 90 days; its `url` is shown only once."""
-        return read(Share, await self.call("POST", address("claims", claim_id, "share"), json={"days": days}))
+        return read(Share, self.call("POST", address("claims", claim_id, "share"), json={"days": days}))
 
-    async def shares(self, claim_id: str) -> list[Share]:
+    def shares(self, claim_id: str) -> list[Share]:
         """Active shares of a claim, newest first."""
-        found = await self.call("GET", address("claims", claim_id, "shares"))
+        found = self.call("GET", address("claims", claim_id, "shares"))
         return [read(Share, each) for each in found["items"]]
 
-    async def revoke_share(self, share_id: str) -> None:
+    def revoke_share(self, share_id: str) -> None:
         """Revoke a share."""
-        await self.call("DELETE", address("shares", share_id))
+        self.call("DELETE", address("shares", share_id))
 
-    async def acquire(self, source: Source, *, progress: Progress = silent) -> Acquisition:
+    def acquire(self, source: Source, *, progress: Progress = silent) -> Acquisition:
         """Have the service fetch a suspect from an address (http, https), or take a file, and preserve it unchanged."""
         if isinstance(source, str) and source.startswith(("http://", "https://")):
             body = {"url": source}
         else:
-            body = {"upload_id": (await self.upload(source, progress=progress)).id}
-        return read(Acquisition, await self._once("/v1/acquisitions", body))
+            body = {"upload_id": (self.upload(source, progress=progress)).id}
+        return read(Acquisition, self._once("/v1/acquisitions", body))
 
-    async def acquisition(self, acquisition_id: str) -> Acquisition:
+    def acquisition(self, acquisition_id: str) -> Acquisition:
         """One acquisition."""
-        return read(Acquisition, await self.call("GET", address("acquisitions", acquisition_id)))
+        return read(Acquisition, self.call("GET", address("acquisitions", acquisition_id)))
 
-    async def acquisitions(self) -> list[Acquisition]:
+    def acquisitions(self) -> list[Acquisition]:
         """All acquisitions of the tenant."""
-        return await self._all(Acquisition, "/v1/acquisitions", {})
+        return self._all(Acquisition, "/v1/acquisitions", {})
 
-    async def notices(self, *, asset: str = "") -> list[Notice]:
+    def notices(self, *, asset: str = "") -> list[Notice]:
         """Uploads of other accounts in which a mark of the tenant was found: all, or about the asset of an id."""
-        return await self._all(Notice, "/v1/notices", {"asset": asset})
+        return self._all(Notice, "/v1/notices", {"asset": asset})
 
-    async def add_webhook(self, url: str, *, events: Sequence[str] = ("job.ended", "mark.found")) -> Webhook:
+    def add_webhook(self, url: str, *, events: Sequence[str] = ("job.ended", "mark.found")) -> Webhook:
         """Send a message to an address at the end of every job of the tenant, and when a mark of it is found in an
         upload; its `secret` is shown only once."""
-        return read(Webhook, await self.call("POST", "/v1/webhooks", json={"url": url, "events": list(events)}))
+        return read(Webhook, self.call("POST", "/v1/webhooks", json={"url": url, "events": list(events)}))
 
-    async def webhooks(self) -> list[Webhook]:
+    def webhooks(self) -> list[Webhook]:
         """Webhooks of the tenant, with the outcome of the last message to each."""
-        found = await self.call("GET", "/v1/webhooks")
+        found = self.call("GET", "/v1/webhooks")
         return [read(Webhook, each) for each in found["items"]]
 
-    async def delete_webhook(self, webhook_id: str) -> None:
+    def delete_webhook(self, webhook_id: str) -> None:
         """Delete a webhook."""
-        await self.call("DELETE", address("webhooks", webhook_id))
+        self.call("DELETE", address("webhooks", webhook_id))
 
-    async def _look(self, path: str) -> Any:
+    def _look(self, path: str) -> Any:
         """The answer to GET, which is sent again where none comes."""
-        return (await self._ask(Request("GET", path, again=True))).json()
+        return (self._ask(Request("GET", path, again=True))).json()
 
-    async def _all(self, kind: type[A], path: str, narrowed: Mapping[str, str | Sequence[str]]) -> list[A]:
+    def _all(self, kind: type[A], path: str, narrowed: Mapping[str, str | Sequence[str]]) -> list[A]:
         found: list[A] = []
         given = {name: value for name, value in narrowed.items() if value}
         after: str | None = ""
         while after is not None:
-            page = await self.call("GET", path, params={"limit": "100", "after": after, **given})
+            page = self.call("GET", path, params={"limit": "100", "after": after, **given})
             found += [read(kind, each) for each in page["items"]]
             after = page["next"]
         return found

@@ -3,8 +3,8 @@
 import os
 import re
 import secrets
+import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -15,10 +15,13 @@ from service.client.wire import BREAKS, FIRST_PAUSE, Params, Progress, Request, 
 Target = str | os.PathLike[str]
 
 
-class Methods(Calls):
-    """What both clients can do: calls, and downloads."""
+class Client(Calls):
+    """A tenant's client of one service, with all calls and downloads; closes its connections at the end of a `with`.
 
-    async def download(
+    See `Line` for its parameters.
+    """
+
+    def download(
         self,
         asset_id: str,
         target: Target,
@@ -29,21 +32,21 @@ class Methods(Calls):
     ) -> Path:
         """Fetch a model to a file, converted if a `format` is given. See `_fetch` for the file."""
         params: dict[str, str] = {"version": version} | ({"format": format} if format else {})
-        return await self._fetch(address("assets", asset_id, "model"), target, params, progress)
+        return self._fetch(address("assets", asset_id, "model"), target, params, progress)
 
-    async def record(self, asset_id: str, target: Target) -> Path:
+    def record(self, asset_id: str, target: Target) -> Path:
         """Fetch the sealed record of an asset to a file."""
-        return await self._fetch(address("assets", asset_id, "record"), target, {}, silent)
+        return self._fetch(address("assets", asset_id, "record"), target, {}, silent)
 
-    async def report(self, claim_id: str, target: Target) -> Path:
+    def report(self, claim_id: str, target: Target) -> Path:
         """Fetch a claim as one page (HTML) to a file."""
-        return await self._fetch(address("claims", claim_id, "report"), target, {}, silent)
+        return self._fetch(address("claims", claim_id, "report"), target, {}, silent)
 
-    async def jws(self, claim_id: str, target: Target) -> Path:
+    def jws(self, claim_id: str, target: Target) -> Path:
         """Fetch the signed claim alone to a file, for `mark3dgs verify-report` and third parties."""
-        return await self._fetch(address("claims", f"{claim_id}.jws"), target, {}, silent)
+        return self._fetch(address("claims", f"{claim_id}.jws"), target, {}, silent)
 
-    async def pack(
+    def pack(
         self,
         claim_id: str,
         target: Target,
@@ -56,13 +59,13 @@ class Methods(Calls):
         """Fetch the documents for a platform (ZIP) to a file; a `law` adds the statements that it requires."""
         given = {"law": law or "", "copy_url": copy_url, "original_url": original_url, "note": note}
         params = {name: value for name, value in given.items() if value}
-        return await self._fetch(address("claims", claim_id, "pack"), target, params, silent)
+        return self._fetch(address("claims", claim_id, "pack"), target, params, silent)
 
-    async def warc(self, acquisition_id: str, target: Target) -> Path:
+    def warc(self, acquisition_id: str, target: Target) -> Path:
         """Fetch the WARC file of an acquisition to a file."""
-        return await self._fetch(address("acquisitions", acquisition_id, "warc"), target, {}, silent)
+        return self._fetch(address("acquisitions", acquisition_id, "warc"), target, {}, silent)
 
-    async def _fetch(self, path: str, target: Target, params: Params, progress: Progress) -> Path:
+    def _fetch(self, path: str, target: Target, params: Params, progress: Progress) -> Path:
         """The file, which appears under its name, or takes an older one's place, only once it is whole.
 
         A broken connection is continued where it broke; the digest, where the service names one (ETag), is checked.
@@ -71,18 +74,18 @@ class Methods(Calls):
         part = goal.with_name(f".{goal.name}.{secrets.token_hex(4)}.part")
         try:
             with part.open("xb") as file:
-                etag = await self._fill(file, Request("GET", path, params), progress)
+                etag = self._fill(file, Request("GET", path, params), progress)
                 file.flush()
-                await self._work(partial(os.fsync, file.fileno()))
+                os.fsync(file.fileno())
             announced = re.fullmatch(r'"([0-9a-f]{64})"', etag)
-            if announced and (found := await self._work(partial(digest_of, part))) != announced[1]:
+            if announced and (found := digest_of(part)) != announced[1]:
                 raise ServiceError("digest-mismatch", f"{path} came with SHA-256 {found}, announced was {announced[1]}")
             part.replace(goal)
         finally:
             part.unlink(missing_ok=True)
         return goal
 
-    async def _fill(self, file: BinaryIO, request: Request, progress: Progress) -> str:
+    def _fill(self, file: BinaryIO, request: Request, progress: Progress) -> str:
         """Write an answer to a file; its ETag."""
         etag, breaks = "", 0
         while True:
@@ -90,11 +93,11 @@ class Methods(Calls):
             # If-Range: of the same file, or the whole of what is there by now. No encoding: parts are counted in bytes.
             part = {"Range": f"bytes={have}-", "If-Range": etag} if have and etag else {}
             wanted = Request(request.method, request.path, request.params, {"Accept-Encoding": "identity", **part})
-            reply = await self._send(wanted, Sink(file, progress))
+            reply = self._send(wanted, Sink(file, progress))
             etag = reply.headers.get("etag", etag)
             if reply.good:
                 return etag
             breaks = breaks + 1 if file.tell() <= have else 1
             if reply.status != 0 or not file.tell() or breaks > BREAKS:
                 raise reply.error()
-            await self._pause(FIRST_PAUSE * breaks)
+            time.sleep(FIRST_PAUSE * breaks)

@@ -1,17 +1,19 @@
-"""Requests and answers as values, and which requests are sent again. No input or output here: that is the clients'."""
+"""Requests over httpx, their answers, and which requests are sent again."""
 
 import random
-from abc import ABC, abstractmethod
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from json import loads
-from typing import Any, BinaryIO, TypeVar
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import httpx
 
 from service.client.errors import ServiceError, of_problem
 
-T = TypeVar("T")
 Progress = Callable[[str, float], object]
 """Called with a stage ("upload", those of a job, "download") and how far that is, 0 to 1."""
 
@@ -21,8 +23,12 @@ Params = Mapping[str, str | Sequence[str]]
 PARTIAL_CONTENT, REFUSED_FOR_NOW = 206, (429, 503)
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
 """Seconds between tries, doubled each time, and drawn from half of that on, lest all clients come back together."""
+PATIENCE_SECONDS = 60.0
+TIMEOUT_SECONDS = 120.0
+"""For bytes to come or go; a model may be converted before the first of them comes."""
 BREAKS = 3
 """Broken connections in a row, with nothing gone or come in between, after which a file is given up."""
+_CHUNK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -102,24 +108,70 @@ class Reply:
         return ServiceError("unexpected-answer", text, status=self.status, retry_after=self.retry_after())
 
 
-class Line(ABC):
-    """What requests go over; `patience`: seconds that one which is refused for now is repeated, 0 for never."""
+class Line:
+    """Sends requests; several threads may share one.
 
-    patience: float
+    Parameters
+    ----------
+    address : str
+        Such as http://127.0.0.1:8000.
+    api_key : str
+        mk_...
+    patience : float
+        Seconds that one request refused with 429 or 503 is repeated; 0 never.
+    transport : httpx.BaseTransport, optional
+        How requests travel, for tests and for other ways than the network.
+    """
 
-    @abstractmethod
-    async def _exchange(self, request: Request, sink: Sink | None) -> Reply:
+    def __init__(
+        self,
+        address: str,
+        api_key: str,
+        *,
+        patience: float = PATIENCE_SECONDS,
+        transport: httpx.BaseTransport | None = None,
+    ) -> None:
+        self.patience = patience
+        self._http = httpx.Client(
+            base_url=address,
+            headers={"Authorization": f"Bearer {api_key}"},
+            timeout=TIMEOUT_SECONDS,
+            transport=transport,
+        )
+
+    def close(self) -> None:
+        """Close its connections."""
+        self._http.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _exchange(self, request: Request, sink: Sink | None) -> Reply:
         """Send a request once; with a `sink`, the body of a good answer goes there."""
+        headers: dict[str, str] = {}
+        try:
+            with self._http.stream(
+                request.method,
+                request.path,
+                headers=dict(request.headers),
+                params=dict(request.params) or None,
+                json=request.json,  # an empty object is a body
+                content=request.content,
+            ) as answer:
+                headers = {name.lower(): value for name, value in answer.headers.items()}
+                if sink is None or not answer.is_success:
+                    return Reply(answer.status_code, headers, answer.read())
+                sink.begin(answer.status_code, headers.get("content-length", ""))
+                for chunk in answer.iter_bytes(_CHUNK):
+                    sink.write(chunk)
+                return Reply(answer.status_code, headers, b"")
+        except httpx.RequestError as error:
+            return Reply(0, headers, f"{type(error).__name__}: {error}".encode())
 
-    @abstractmethod
-    async def _pause(self, seconds: float) -> None:
-        """Do nothing for a while."""
-
-    @abstractmethod
-    async def _work(self, do: Callable[[], T]) -> T:
-        """The result of work of a disk or a processor, not of the network."""
-
-    async def _send(self, request: Request, sink: Sink | None = None) -> Reply:
+    def _send(self, request: Request, sink: Sink | None = None) -> Reply:
         """The answer to a request, sent again after 429 and 503, and after no answer where that is harmless.
 
         Waits for as long as Retry-After says, and no longer than `patience`: then the answer is what it is. Every other
@@ -127,17 +179,17 @@ class Line(ABC):
         """
         waited, backoff = 0.0, FIRST_PAUSE
         while True:
-            reply = await self._exchange(request, sink)
+            reply = self._exchange(request, sink)
             seconds = max(backoff * random.uniform(0.5, 1.0), reply.retry_after() or 0.0)
             unanswered = reply.status == 0 and request.again
             if not (unanswered or reply.status in REFUSED_FOR_NOW) or waited + seconds > self.patience:
                 return reply
-            await self._pause(seconds)
+            time.sleep(seconds)
             waited, backoff = waited + seconds, min(2 * backoff, LONGEST_PAUSE)
 
-    async def _ask(self, request: Request) -> Reply:
+    def _ask(self, request: Request) -> Reply:
         """The answer to a request; ServiceError for a bad one."""
-        reply = await self._send(request)
+        reply = self._send(request)
         if not reply.good:
             raise reply.error()
         return reply

@@ -33,7 +33,7 @@ from tests.records.test_timestamps import Authority, serving
 from tests.service.acquisitions.conftest import answer, sites  # noqa: F401
 from tests.service.acquisitions.test_fetching import Sites, warc_records
 from tests.service.api.conftest import SMALL, Api, _api
-from tests.service.client.driving import DRIVERS, do
+from tests.service.client.driving import do
 
 MODEL = SMALL.read_bytes()
 SHA256 = hashlib.sha256(MODEL).hexdigest()
@@ -201,8 +201,7 @@ def test_a_slow_address_is_not_fetched_twice_at_once(api: Api) -> None:
         assert answered.status_code == status, answered.text
 
 
-@pytest.mark.parametrize("driver", DRIVERS)
-def test_by_the_client(api: Api, sites: Sites, driver: str, tmp_path: Path) -> None:  # noqa: F811
+def test_by_the_client(api: Api, sites: Sites, tmp_path: Path) -> None:  # noqa: F811
     served = with_settings(api, acquisitions_private=True).client
 
     def through(request: httpx.Request) -> httpx.Response:
@@ -211,10 +210,10 @@ def test_by_the_client(api: Api, sites: Sites, driver: str, tmp_path: Path) -> N
         there = served.request(request.method, path, content=request.content, headers=headers)
         return httpx.Response(there.status_code, headers=there.headers, content=there.content)
 
-    fetched = do(driver, through, "acquire", sites(answer(MODEL)).url("/a.ply"))
-    handed_in = do(driver, through, "acquire", MODEL)
+    fetched = do(through, "acquire", sites(answer(MODEL)).url("/a.ply"))
+    handed_in = do(through, "acquire", MODEL)
     assert fetched.payload_sha256 == handed_in.payload_sha256 == SHA256
-    assert do(driver, through, "acquisition", fetched.id).url == fetched.url
-    assert {each.id for each in do(driver, through, "acquisitions")} == {fetched.id, handed_in.id}
-    kept = do(driver, through, "warc", fetched.id, tmp_path / "a.warc.gz")
+    assert do(through, "acquisition", fetched.id).url == fetched.url
+    assert {each.id for each in do(through, "acquisitions")} == {fetched.id, handed_in.id}
+    kept = do(through, "warc", fetched.id, tmp_path / "a.warc.gz")
     assert hashlib.sha256(kept.read_bytes()).hexdigest() == fetched.warc_sha256

@@ -1,45 +1,31 @@
-"""Both drivers of the client, over a service that a test plays."""
+"""The client, over a service that a test plays."""
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
 
-from service.client import AsyncClient, Client
+from service.client import Client
 
 ADDRESS = "http://service.test"
-DRIVERS = ("sync", "async")
 Handler = Callable[[httpx.Request], httpx.Response]
 
 
-def do(driver: str, handler: Handler, method: str, *args: Any, patience: float = 60.0, **kwargs: Any) -> Any:
-    """What a method of a client gives, the service's answers being those of `handler`."""
-    transport = httpx.MockTransport(handler)
-    if driver == "sync":
-        with Client(ADDRESS, "mk_a_b", patience=patience, transport=transport) as client:
-            return getattr(client, method)(*args, **kwargs)
-
-    async def run() -> Any:
-        async with AsyncClient(ADDRESS, "mk_a_b", patience=patience, transport=transport) as client:
-            return await getattr(client, method)(*args, **kwargs)
-
-    return asyncio.run(run())
+def do(handler: Handler, method: str, *args: Any, patience: float = 60.0, **kwargs: Any) -> Any:
+    """What a method of the client gives, the service's answers being those of `handler`."""
+    with Client(ADDRESS, "mk_a_b", patience=patience, transport=httpx.MockTransport(handler)) as client:
+        return getattr(client, method)(*args, **kwargs)
 
 
-class Breaking(httpx.SyncByteStream, httpx.AsyncByteStream):
+class Breaking(httpx.SyncByteStream):
     """A body of which some comes, and then the connection breaks."""
 
     def __init__(self, some: bytes) -> None:
         self.some = some
 
     def __iter__(self) -> Iterator[bytes]:
-        yield self.some
-        raise httpx.ReadError("broken")
-
-    async def __aiter__(self) -> AsyncIterator[bytes]:
         yield self.some
         raise httpx.ReadError("broken")
 

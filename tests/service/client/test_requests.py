@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
@@ -12,9 +11,7 @@ import httpx
 import pytest
 
 from service.client import ServiceError
-from tests.service.client.driving import DRIVERS, do, job, problem
-
-pytestmark = pytest.mark.parametrize("driver", DRIVERS)
+from tests.service.client.driving import do, job, problem
 
 
 @pytest.fixture(autouse=True)
@@ -22,11 +19,7 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Seconds that the client paused, none of which pass."""
     found: list[float] = []
 
-    async def sleep(seconds: float) -> None:
-        found.append(seconds)
-
     monkeypatch.setattr(time, "sleep", found.append)
-    monkeypatch.setattr(asyncio, "sleep", sleep)
     return found
 
 
@@ -51,46 +44,46 @@ def refused(status: int, retry_after: str = "") -> httpx.Response:
     return answer
 
 
-def test_what_is_refused_for_now_is_sent_again(driver: str, pauses: list[float]) -> None:
+def test_what_is_refused_for_now_is_sent_again(pauses: list[float]) -> None:
     played = Played(refused(503, "3"), refused(429), refused(429), httpx.Response(200, json={"keys": []}))
-    assert do(driver, played, "call", "GET", "/v1/keys") == {"keys": []}
+    assert do(played, "call", "GET", "/v1/keys") == {"keys": []}
     assert [request.headers["authorization"] for request in played.calls] == ["Bearer mk_a_b"] * 4
     assert pauses[0] == 3.0
     assert 0.5 <= pauses[1] <= 1.0
     assert 1.0 <= pauses[2] <= 2.0
 
 
-def test_a_date_of_retry_after_is_honoured(driver: str, pauses: list[float]) -> None:
+def test_a_date_of_retry_after_is_honoured(pauses: list[float]) -> None:
     when = format_datetime(datetime.now(UTC) + timedelta(seconds=30), usegmt=True)
-    do(driver, Played(refused(503, when), httpx.Response(204)), "call", "DELETE", "/v1/keys/k")
+    do(Played(refused(503, when), httpx.Response(204)), "call", "DELETE", "/v1/keys/k")
     assert 25 < pauses[0] <= 30
 
 
 @pytest.mark.parametrize("status", [400, 401, 403, 404, 409, 413, 422, 500, 502, 504, 507])
-def test_no_other_status_is(driver: str, status: int, pauses: list[float]) -> None:
+def test_no_other_status_is(status: int, pauses: list[float]) -> None:
     answer = problem("conflict", status)
     answer.headers["Retry-After"] = "1"
     played = Played(answer)
     with pytest.raises(ServiceError) as caught:
-        do(driver, played, "call", "POST", "/v1/keys", json={})
+        do(played, "call", "POST", "/v1/keys", json={})
     assert (caught.value.status, len(played.calls), pauses) == (status, 1, [])
 
 
-def test_patience_ends(driver: str, pauses: list[float]) -> None:
+def test_patience_ends(pauses: list[float]) -> None:
     with pytest.raises(ServiceError, match="budget-exceeded") as caught:
-        do(driver, Played(refused(429, "3600")), "call", "GET", "/v1/keys")
+        do(Played(refused(429, "3600")), "call", "GET", "/v1/keys")
     assert (caught.value.retry_after, pauses) == (3600, [])
     played = Played(refused(503))
     with pytest.raises(ServiceError, match="unavailable"):
-        do(driver, played, "call", "GET", "/v1/keys", patience=20.0)
+        do(played, "call", "GET", "/v1/keys", patience=20.0)
     assert 10 < sum(pauses) <= 20
     assert len(played.calls) == len(pauses) + 1
 
 
-def test_an_error_carries_the_problem(driver: str) -> None:
+def test_an_error_carries_the_problem() -> None:
     errors = [{"place": "body.bits", "text": "must be 16 or more, got 7"}]
     with pytest.raises(ServiceError) as caught:
-        do(driver, Played(problem("invalid-request", 422, errors=errors)), "call", "POST", "/v1/embed", json={})
+        do(Played(problem("invalid-request", 422, errors=errors)), "call", "POST", "/v1/embed", json={})
     error = caught.value
     assert (error.code, error.status, error.detail, error.request_id) == ("invalid-request", 422, "the value 7", "r1")
     assert error.values == {"errors": errors}
@@ -108,26 +101,26 @@ def test_an_error_carries_the_problem(driver: str) -> None:
         httpx.Response(200, json=[]),
     ],
 )
-def test_answers_of_something_else(driver: str, answer: httpx.Response) -> None:
+def test_answers_of_something_else(answer: httpx.Response) -> None:
     """A proxy, or another service, at this address."""
     played = Played(answer)
     with pytest.raises(ServiceError) as caught:
-        do(driver, played, "asset", "as_1")
+        do(played, "asset", "as_1")
     assert caught.value.code == "unexpected-answer"
     assert len(played.calls) == 1
 
 
-def test_no_answer(driver: str, pauses: list[float]) -> None:
+def test_no_answer(pauses: list[float]) -> None:
     """Sent again only where that is harmless: a look at a job is, a new key is not."""
     played = Played(httpx.ConnectError("refused"))
     with pytest.raises(ServiceError, match="unreachable: ConnectError"):
-        do(driver, played, "call", "POST", "/v1/keys", json={})
+        do(played, "call", "POST", "/v1/keys", json={})
     assert (len(played.calls), pauses) == (1, [])
     again = Played(httpx.ReadError("gone"), httpx.Response(200, json=job("succeeded", result={})))
-    assert do(driver, again, "wait", "job_1").ended
+    assert do(again, "wait", "job_1").ended
 
 
-def test_a_job_is_asked_for_once(driver: str) -> None:
+def test_a_job_is_asked_for_once() -> None:
     """A lost answer does not make two jobs: the same key goes with both tries."""
     slot = {"id": "up_1", "name": "", "size": 3, "offset": 3, "state": "complete", "sha256": None}
     slot |= {"info": {"kind": "picture"}}
@@ -141,28 +134,28 @@ def test_a_job_is_asked_for_once(driver: str) -> None:
             raise httpx.ReadError("lost")
         return httpx.Response(202, json=job("queued", kind="verify"))
 
-    assert do(driver, service, "submit_verify", b"png", asset_id="as_1").id == "job_1"
+    assert do(service, "submit_verify", b"png", asset_id="as_1").id == "job_1"
     assert len(keys) == 2
     assert len(set(keys)) == 1
     assert keys[0][1] == b'{"image_upload_ids":["up_1"],"asset_id":"as_1"}'
 
 
-def test_a_job_is_followed_to_its_end(driver: str, pauses: list[float]) -> None:
+def test_a_job_is_followed_to_its_end(pauses: list[float]) -> None:
     same = httpx.Response(304)
     states = [job("queued", stage="", fraction=0.0), job("running"), job("failed")]
     first, second, last = (
         httpx.Response(200, json=plain, headers={"ETag": f'"{i}"'}) for i, plain in enumerate(states)
     )
     played, seen = Played(first, same, same, second, last), list[tuple[str, float]]()
-    ended = do(driver, played, "wait", "job_1", progress=lambda *output: seen.append(output))
+    ended = do(played, "wait", "job_1", progress=lambda *output: seen.append(output))
     assert (ended.state, seen) == ("failed", [("", 0.0), ("look", 0.5), ("look", 0.5)])
     assert [request.headers.get("if-none-match") for request in played.calls] == [None, '"0"', '"0"', '"0"', '"1"']
     assert pauses == [0.1, 0.2, 0.4, 0.1]
 
 
-def test_waiting_ends(driver: str) -> None:
+def test_waiting_ends() -> None:
     with pytest.raises(ServiceError, match="timed-out") as caught:
-        do(driver, Played(httpx.Response(200, json=job("running"))), "wait", "job_1", timeout=0.0)
+        do(Played(httpx.Response(200, json=job("running"))), "wait", "job_1", timeout=0.0)
     assert caught.value.values == {"job": "job_1"}
 
 
@@ -179,21 +172,21 @@ FAILED = {"type": "urn:mark3dgs:problem:capacity", "title": "T", "status": 422, 
         ({"state": "running"}, "timed-out", {"job": "job_1"}),
     ],
 )
-def test_what_came_to_nothing(driver: str, members: dict[str, Any], code: str, values: dict[str, Any]) -> None:
-    found = do(driver, Played(httpx.Response(200, json=job(**members))), "job", "job_1")
+def test_what_came_to_nothing(members: dict[str, Any], code: str, values: dict[str, Any]) -> None:
+    found = do(Played(httpx.Response(200, json=job(**members))), "job", "job_1")
     with pytest.raises(ServiceError) as caught:
         found.outcome()
     assert (caught.value.code, caught.value.values) == (code, values)
 
 
-def test_an_id_is_one_part_of_an_address(driver: str) -> None:
+def test_an_id_is_one_part_of_an_address() -> None:
     played = Played(problem("not-found", 404))
     with pytest.raises(ServiceError):
-        do(driver, played, "claim", "cl_1/../../keys?x=1")
+        do(played, "claim", "cl_1/../../keys?x=1")
     assert played.calls[0].url.raw_path == b"/v1/claims/cl_1%2F..%2F..%2Fkeys%3Fx%3D1"
 
 
-def test_lists_go_on_to_their_end(driver: str) -> None:
+def test_lists_go_on_to_their_end() -> None:
     summary = {"asset_id": None, "verdict": "marked", "headline": "", "finding": "", "log10_false_claim": -9.0}
     pages = {"": (["cl_3", "cl_2"], "cl_2"), "cl_2": (["cl_1"], None)}
 
@@ -202,11 +195,11 @@ def test_lists_go_on_to_their_end(driver: str) -> None:
         items = [{"id": name, "created_at": "", **summary, "new_member": 1} for name in names]
         return httpx.Response(200, json={"items": items, "next": following})
 
-    assert [claim.id for claim in do(driver, service, "claims")] == ["cl_3", "cl_2", "cl_1"]
+    assert [claim.id for claim in do(service, "claims")] == ["cl_3", "cl_2", "cl_1"]
 
 
-def test_an_empty_object_is_a_body(driver: str) -> None:
+def test_an_empty_object_is_a_body() -> None:
     played = Played(httpx.Response(201, json={"id": "key_1"}))
-    assert do(driver, played, "call", "POST", "/v1/keys", json={}) == {"id": "key_1"}
+    assert do(played, "call", "POST", "/v1/keys", json={}) == {"id": "key_1"}
     assert played.calls[0].content == b"{}"
     assert played.calls[0].headers["content-type"] == "application/json"

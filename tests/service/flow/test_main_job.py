@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import signal
@@ -16,7 +15,7 @@ import pytest
 
 from engine.formats import encode_model, read_model
 from engine.records.signatures import DISPUTE, verify
-from service.client import AsyncClient, Client, Embedded, ServiceError
+from service.client import Client, Embedded, ServiceError
 from tests.scenes import sparse_plant
 from tests.service import serving
 from tests.service.flow.commands import client_of, mark3dgs
@@ -212,19 +211,6 @@ def test_an_erased_owner_key(served: Served, tmp_path: Path) -> None:
     back = dave.call("POST", "/v1/keys", json={"key": key["key"].splitlines()[-1]})
     assert back["id"] == key["id"]
     assert dave.verify(model, asset_id=asset).verdict == "marked"
-
-
-def test_in_an_event_loop(served: Served, token: str, marked: Embedded, tmp_path: Path) -> None:
-    async def job() -> tuple[str, str]:
-        async with AsyncClient(served.address, token) as client:
-            copy = await client.download(marked.asset_id, tmp_path / "copy.spz", format="spz")
-            found = await client.verify(copy, asset_id=marked.asset_id, timeout=120)
-            page = await client.report(found.claim_id, tmp_path / "report.html")
-        return found.verdict, page.read_text()
-
-    verdict, page = asyncio.run(job())
-    assert verdict == "marked"
-    assert page.startswith("<!doctype html>")
 
 
 def test_cancelling_kills_the_process(served: Served, alice: Client, owner_key: str) -> None:
