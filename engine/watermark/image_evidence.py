@@ -338,11 +338,11 @@ def _readers(
     def exposed_as_coded(known: Float32) -> Float32:
         return as_coded(match_exposure(known, own, mask))
 
-    grid = find_grid(warped)
-    pattern = None
+    grid, chroma = find_grid(warped), None
     if grid is not None:
         pattern = _public_pattern(layout, view)
         pattern = grid.part(pattern if blur is None else blur.apply(pattern))
+        chroma = CodedChroma.of(grid.part(warped), grid.part(mask), pattern, grid.quality)
         coded = exposed_as_coded(reference)
         agreed = agreement(grid.part(coded), grid.part(warped), grid.part(mask), grid.quality)
         if agreed >= JPEG.own_agreement:
@@ -350,10 +350,13 @@ def _readers(
 
             def score(known: Float32) -> Float32:
                 exposed = coded if known is reference else exposed_as_coded(known)
-                plain = Toned(exposed, np.ones_like(exposed))
-                chroma = image_cotangent(exposed, warped, mask, plain, planes=slice(1, 3))
                 blocks = grid.part(exposed), grid.part(warped), grid.part(mask)
-                return grid.whole(jpeg_cotangent(*blocks, spread, grid.quality), exposed.shape) + chroma
+                said = jpeg_cotangent(*blocks, spread, grid.quality)
+                if chroma is not None:
+                    return grid.whole(said + chroma.cotangent(blocks[0]), exposed.shape)
+                plain = Toned(exposed, np.ones_like(exposed))
+                of_pixels = image_cotangent(exposed, warped, mask, plain, planes=slice(1, 3))
+                return grid.whole(said, exposed.shape) + of_pixels
 
             return [score]
     toned = fit_colors(reference, own, mask) if mask.any() else None
@@ -365,9 +368,6 @@ def _readers(
     def weigh(known: Float32, planes: slice = slice(3)) -> Float32:
         return image_cotangent(known, own, mask, near(known), planes=planes)
 
-    chroma = None
-    if grid is not None and pattern is not None:
-        chroma = CodedChroma.of(grid.part(warped), grid.part(mask), pattern, grid.quality)
     if grid is None or chroma is None:
         return [weigh]
 

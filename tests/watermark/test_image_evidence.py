@@ -56,9 +56,12 @@ def z(ball: Ball, evidence: Evidence) -> float:
     return claim_z(evidence.y, evidence.weights, ball.spreading.bit_of, ball.spreading.chips, ball.message)
 
 
-def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
+def jpeg(picture: np.ndarray, quality: int, subsampling: int = 2) -> np.ndarray:
+    """With chroma at half the size, or whole (0)."""
     buffer = io.BytesIO()
-    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(buffer, "JPEG", quality=quality)
+    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(
+        buffer, "JPEG", quality=quality, subsampling=subsampling
+    )
     return np.asarray(Image.open(buffer), dtype=np.float32) / 255
 
 
@@ -135,10 +138,13 @@ def test_the_quantiser_of_a_jpeg_is_made_use_of(ball: Ball, monkeypatch: pytest.
 
 
 def test_chroma_of_a_jpeg_says_something_too(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
-    picture = jpeg(marked_picture(ball, 0), 80)
-    both = z(ball, read(ball, picture))
-    monkeypatch.setattr(image_evidence, "image_cotangent", lambda known, *_, **__: np.zeros_like(known))
-    assert both > 1.03 * z(ball, read(ball, picture)) > 2.5
+    """By the coder's intervals, and by its pixels where it kept chroma whole."""
+    for subsampling, name in ((2, "CodedChroma.cotangent"), (0, "image_cotangent")):
+        picture = jpeg(marked_picture(ball, 0), 80, subsampling)
+        both = z(ball, read(ball, picture))
+        with monkeypatch.context() as patch:
+            patch.setattr(f"engine.watermark.image_evidence.{name}", lambda *_, **__: np.float32(0.0))
+            assert both > 1.03 * z(ball, read(ball, picture)) > 2.5
 
 
 def test_exposure_of_a_jpeg_is_taken_out(ball: Ball) -> None:

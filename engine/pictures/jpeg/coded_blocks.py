@@ -203,7 +203,7 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     `reference` is the unmarked render with the suspect's exposure (`match_exposure`), `picture` the suspect, never
     resampled since it was compressed, both 0..1; blocks that touch pixels outside `mask` are left out; `spread`, (8, 8)
     or (by, bx, 8, 8), is the mark's standard deviation in each coefficient, grey levels; `quality` comes from
-    `find_quality`. Luma alone: coders keep little of chroma, and `image_cotangent` reads that.
+    `find_quality`. Luma alone: chroma is read by `CodedChroma`, or by `image_cotangent`.
     """
     observed = blocks_of(255.0 * picture @ LUMA)
     steps = luma_table(quality)
