@@ -80,6 +80,7 @@ def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel)
     assert refined.alike
     assert refined.detail_z > CONFIG.refinement.least_detail_z
     assert not replace(refined, detail_z=CONFIG.refinement.least_detail_z - 1.0).alike
+    assert not replace(refined, uncovered_correlation=CONFIG.refinement.least_correlation - 0.01).alike
 
 
 def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:

@@ -128,7 +128,7 @@ def _read_whole(
     laid = _lay_over_background(view, image)
     if laid is None:
         return None, None
-    if view.blur is None:
+    if view.blur is None:  # else the coder's multiples are not the render's: the search would end where it began
         laid = _carried(laid, image, reference, found.settings, True)
     laid = laid.washed()
     return laid.read(image), laid.view.of.change

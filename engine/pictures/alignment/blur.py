@@ -127,8 +127,7 @@ def _fit(sharp: Float32, seen: Float32, usable: Bool, support: Bool) -> Blur | N
         return None
     kernel = np.zeros(support.shape, dtype=np.float32)
     kernel[support] = solution[:-1] / total
-    found = Blur(kernel)
-    return found if found.widths[0] >= _CONFIG.least_width else None
+    return Blur(kernel)
 
 
 def _steepest(energy: Float32, usable: Bool) -> npt.NDArray[np.intp]:

@@ -69,7 +69,6 @@ class BlurConfig:
     # Width along its long axis of a kernel that is sought: the mark of a sharp picture looks like 0.7, and softer
     # pictures than this are read well as they are
     least_spread: float = 1.1
-    least_width: float = 1.0  # width along its long axis of the fitted kernel
     widest: float = 6.0
     # Support of the kernel: an ellipse of so many widths, and so many pixels for what the first look missed and a shift
     reach: float = 2.5
