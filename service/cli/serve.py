@@ -232,7 +232,8 @@ def _check_free(host: str, port: int) -> None:
         try:
             probe.bind((host, port))
         except OSError as error:
-            raise InputError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+            text = f"cannot listen on {host}:{port}: {error.strerror or error}; choose another --host or --port"
+            raise InputError(text) from None
 
 
 def _connections(most: int) -> int:

@@ -3,6 +3,7 @@
 import errno
 import json
 import logging
+from collections.abc import Mapping
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -79,11 +80,21 @@ def invalid(errors: list[Any]) -> Problem:
     """A problem of what a validation found; each entry names the place and what is wrong there."""
     broken = any(entry["type"] in ("json_invalid", "model_attributes_type") for entry in errors)
     places = [
-        {"place": ".".join(str(part) for part in entry["loc"]), "text": _TEXTS.get(entry["type"], str(entry["msg"]))}
+        {
+            "place": ".".join(str(part) for part in entry["loc"]),
+            "text": _TEXTS.get(entry["type"], f"{entry['msg']}{_not(entry)}"),
+        }
         for entry in errors[:20]
     ]
     detail = "; ".join(f"{entry['place']}: {entry['text']}" for entry in places[:3])
     return Problem("malformed-request" if broken else "invalid-request", detail, errors=places)
+
+
+def _not(entry: Mapping[str, Any]) -> str:
+    """The offending number or text, short, where the message does not name it; never a key."""
+    value, kind = entry.get("input"), str(entry["type"])
+    named = kind in ("missing", "extra_forbidden", "value_error") or "key" in entry["loc"]
+    return "" if named or not isinstance(value, int | float | str) else f", not {str(value)[:40]!r}"
 
 
 Responses = dict[int | str, dict[str, Any]]

@@ -13,7 +13,7 @@ from engine.errors import InputError
 from engine.lab.raster.autograd import rasterize
 from engine.model import Camera, GaussianModel
 from engine.raster import Gradients, RasterSettings, backward, draw
-from engine.raster.parameter_gradients import CHUNK
+from engine.raster.parameter_gradients import CHUNK, chunks_of
 from tests.raster.scenes import TOLERANCE, camera, random_model, relative
 from tests.reference import raster as twin
 
@@ -211,3 +211,9 @@ def test_the_last_group_of_a_chunk_counts_once(more: int) -> None:
     for name in NAMES[:5]:
         np.testing.assert_array_equal(getattr(few, name), getattr(many, name)[:n], err_msg=name)
     np.testing.assert_allclose(few.viewmat, many.viewmat, rtol=1e-4, atol=1e-5)
+
+
+def test_no_group_reaches_into_another_threads_chunk() -> None:
+    """Groups are of 16; the last one of a chunk ends with it."""
+    for n in range(16, 3 * CHUNK + 32):
+        assert n - (chunks_of(n) - 1) * CHUNK >= 16

@@ -39,6 +39,16 @@ def test_json_that_is_none(api: Api, path: str, body: bytes) -> None:
     assert answer.status_code == 400, answer.text
 
 
+def test_an_offending_value_is_named_but_no_key(api: Api) -> None:
+    problem = api.client.post("/v1/embed", json={"upload_id": "up_1", "psnr": 12, "profile": "x" * 900}).json()
+    places = {each["place"]: each["text"] for each in problem["errors"]}
+    assert places["body.psnr"].endswith(", not '12'")
+    assert places["body.profile"].endswith(f", not {'x' * 40!r}")
+    assert "12" in problem["detail"]
+    secret = "5" * 63
+    assert secret[:9] not in api.client.post("/v1/keys", json={"key": secret, "label": 7}).text
+
+
 @pytest.mark.parametrize("what", ["keys", "jobs", "assets", "claims", "uploads"])
 def test_a_page_after_nothing(api: Api, stranger: Api, what: str) -> None:
     """Unknown and another tenant's are refused in the same words."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -47,6 +48,17 @@ def test_a_second_serve_is_refused_until_the_first_is_gone(tmp_path: Path, mark3
 _ASK = """import sys, urllib.request
 try: print(urllib.request.urlopen(sys.argv[1]).status)
 except OSError as error: print(error)"""
+
+
+def test_a_taken_port_is_refused_with_what_to_do(mark3dgs: Mark3dgs) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        code, _, said = mark3dgs("serve", "--port", str(port))
+    assert code == 2
+    assert f"127.0.0.1:{port}" in said
+    assert "--port" in said
 
 
 def test_a_lock_names_its_holder_and_ends_with_it(tmp_path: Path) -> None:
