@@ -271,9 +271,9 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
         if choice.spent is not None:
             lines["allowed"] = _spending(choice.spent)
         if choice.saved_seconds is not None and "choose" in report.seconds_by_stage:  # not of a further copy
-            compared = "less" if choice.saved_seconds > 0 else "more"
-            seconds = f"about {abs(choice.saved_seconds):.1f} s {compared} than balanced, by an estimate"
-            lines["saved"] = f"{seconds}; bytes only with --budget"
+            less = "less" if choice.saved_seconds > 0 else "more"
+            seconds = f"about {abs(choice.saved_seconds):.1f} s {less} than balanced, by an estimate"
+            lines["compared"] = f"{seconds}; as many bytes: only --budget saves some"
     if made.psnr_total_worst_view > made.psnr_worst_view - 0.1:
         del lines["in total"]
     console.say(f"Marked {model} -> {report.out}")
