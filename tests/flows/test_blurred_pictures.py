@@ -18,6 +18,7 @@ from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.lab.evaluate.null.null_rates import wrong_key_z
 from engine.lab.sim.attacks import image_attack
 from engine.model import Camera, Float32, look_at
+from engine.pictures.camera import camera_search
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render, render_depth
 from engine.watermark.statistics import z_threshold
@@ -129,3 +130,12 @@ def test_wrong_keys_stay_below_the_bound(scene: MarkedScene, sharp: Float32, cam
         assert (z >= z_threshold(bound)).sum() <= bound * keys + 5 * np.sqrt(bound * keys)
     assert z.std() == pytest.approx(1.0, abs=0.1)
     assert z.max() < z_threshold(1e-9, keys)
+
+
+def test_an_enlarged_screenshot_is_read_with_the_low_pass_it_was_drawn_with(
+    with_landmarks: OpenedRecord, sharp: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = to_8_bit(cv2.resize(sharp[100:500, 100:700], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC))
+    read = verify_images([picture], with_landmarks).claim
+    monkeypatch.setattr(camera_search, "_with_own_low_pass", lambda *given: (given[1], given[4]))
+    assert read.z > 1.15 * verify_images([picture], with_landmarks).claim.z > 10.0

@@ -94,8 +94,8 @@ class ColorChangeConfig:
     rounds: tuple[int, ...] = (1, 4, 16)  # of averaging, after which it is looked at
     run: int = 16  # Gaussians of a run in the first look
     # Share of what the picture is off by that runs must explain in the first look: 0.4 and more of averaged colors,
-    # 0.05 and more of denoised ones; of others below 0.016, but for blurred pictures (0.13)
-    looks: float = 0.03
+    # 0.05 and more of denoised ones; of others below 0.016, but for reduced (0.036) and blurred pictures (0.13)
+    looks: float = 0.04
     # Share that averages over neighbors explain from which nothing else is tried: they explain 0.90 to 0.94 where the
     # colors were averaged so, 0.65 at most where they were averaged in cells
     surely: float = 0.85

@@ -340,6 +340,25 @@ def _with_better_settings(
     return refined, settings
 
 
+def _with_own_low_pass(
+    picture: Picture, refined: Refined, level: Level, mirrored: bool, settings: RasterSettings, blur: Blur | None
+) -> tuple[Refined, RasterSettings]:
+    """The camera refined on renders with the low pass that the picture was drawn with, and their settings: half of it
+    and less where the picture was reduced since (a screenshot of a display with small pixels), twice and more where it
+    was enlarged."""
+    for factor in (0.5, 2.0):
+        better = settings
+        while True:
+            other = replace(better, eps2d=factor * better.eps2d)
+            refined, chosen = _with_better_settings(picture, refined, level, mirrored, better, other, blur)
+            if chosen is better:
+                break
+            better = chosen
+        if better is not settings:
+            break
+    return refined, better
+
+
 def _explained(camera: Candidate | FoundCamera) -> bool:
     """Whether nothing is left for another shape of pixels, or a frame, to explain."""
     uncovered = camera.uncovered_correlation >= CONFIG.explained_uncovered
@@ -379,6 +398,7 @@ def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera 
         other,
         blur,  # blurred pictures look antialiased
     )
+    refined, settings = _with_own_low_pass(picture, refined, full_level, candidate.mirrored, settings, blur)
     return FoundCamera(
         camera=picture.full(refined.camera),
         inliers=candidate.support,
