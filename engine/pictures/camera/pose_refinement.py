@@ -138,14 +138,16 @@ def refine_level(
         cover = smooth(alpha, width)
         weight = _weights(alpha, depth, picture)
         used = weight > 0
-        if used.sum() < _CONFIG.least_pixels:
+        some = np.flatnonzero(used)
+        if len(some) < _CONFIG.least_pixels:
             return None
-        unit = float(np.median(depth[used]))
+        some = some[:: max(1, len(some) // _CONFIG.samples)]
+        unit = float(np.median(depth.ravel()[some]))
         if iteration == 0:
-            gain, offset = robust_line(base[used], seen[used])
+            gain, offset = robust_line(base.ravel()[some], seen.ravel()[some])
         toned = np.float32(gain) * base + np.float32(offset) * cover
         residual = seen - toned
-        spread = robust_scale(residual[used])
+        spread = robust_scale(residual.ravel()[some])
         outlying = 2.5 * spread if width == _CONFIG.blur else max(2.5 * spread, _CONFIG.trusted)
         # The background stands still when the camera moves; what covers it moves.
         gy, gx = np.gradient(toned)
