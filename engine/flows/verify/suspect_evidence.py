@@ -17,7 +17,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.verify.config import CONFIG
 from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
-from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.camera_rig import Extent, make_rig, measure_extent
 from engine.flows.views.render_cost import check_drawable
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
@@ -356,8 +356,9 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    far = cache(lambda: far_views(opened.reference))
-    bank = cache(lambda: [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference))
+    extent = cache(lambda: measure_extent(opened.reference))
+    far = cache(lambda: far_views(opened.reference, extent()))
+    bank = cache(lambda: [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference, extent()))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
             break
@@ -387,10 +388,11 @@ def read_pictures(
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
 
 
-def far_views(model: GaussianModel) -> FarViews:
+def far_views(model: GaussianModel, extent: Extent | None = None) -> FarViews:
     """The model from afar, from all around: where pictures without keypoints are sought."""
-    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, elevations=_CONFIG.edge_elevations)
-    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size))
+    extent = extent or measure_extent(model)
+    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, extent=extent, elevations=_CONFIG.edge_elevations)
+    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size, extent=extent))
 
 
 def _how_read(number: int, read: ReadPicture) -> Iterator[str]:

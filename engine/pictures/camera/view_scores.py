@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.kernels.jit import kernel, parallel_kernel, share_of
+from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Bool, Float32, Float64, Int64
 from engine.pictures.camera.config import CONFIG
@@ -47,6 +47,21 @@ def look_again(
     _look_again(maps, inside, places, directions, views, starts, room, sums, scores, poses)
 
 
+@inlined
+def _sum_around(maps, inside, bins, rows, columns, said, counted):
+    """What the picture says to points at 25 places up to two pixels from theirs, and how many lie inside (5, 5)."""
+    said[:] = 0.0
+    counted[:] = 0.0
+    for p in range(len(bins)):  # farther out nothing is said: the picture is padded by more
+        if 2 <= rows[p] < maps.shape[1] - 2 and 2 <= columns[p] < maps.shape[2] - 2:
+            top, left = rows[p] - 2, columns[p] - 2
+            one = maps[bins[p]]
+            for j in range(5):
+                for i in range(5):
+                    said[j, i] += one[top + j, left + i]
+                    counted[j, i] += inside[top + j, left + i]
+
+
 @parallel_kernel
 def _look_again(maps, inside, places, directions, views, starts, room, sums, scores, poses, call):
     points = directions.shape[1]
@@ -66,16 +81,7 @@ def _look_again(maps, inside, places, directions, views, starts, room, sums, sco
                     x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
                     columns[p] = int(np.floor(c * x - s * y + 0.5)) + PAD + int(starts[f, 2])
                     rows[p] = int(np.floor(s * x + c * y + 0.5)) + PAD + int(starts[f, 3])
-                said[:] = 0.0
-                counted[:] = 0.0
-                for p in range(points):  # outside nothing is said: the picture is padded by more than two pixels
-                    if 2 <= rows[p] < maps.shape[1] - 2 and 2 <= columns[p] < maps.shape[2] - 2:
-                        top, left = rows[p] - 2, columns[p] - 2
-                        one = maps[bins[p]]
-                        for j in range(5):
-                            for i in range(5):
-                                said[j, i] += one[top + j, left + i]
-                                counted[j, i] += inside[top + j, left + i]
+                _sum_around(maps, inside, bins, rows, columns, said, counted)
                 for j in range(5):
                     for i in range(5):
                         if counted[j, i] >= LEAST_INSIDE * points and said[j, i] / np.sqrt(counted[j, i]) > best:
