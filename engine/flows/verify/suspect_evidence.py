@@ -175,8 +175,11 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
                 best, most = own, agreed
         if most < _CONFIG.coded_alike:
             return laid
-    softer = [replace(best, view=best.view.softened(blur)) for blur in _CONFIG.soft] if best is not laid else []
-    return max([best, *softer], key=lambda own: _agreement(own, image, grid)) if softer else best
+    for own in [replace(best, view=best.view.softened(blur)) for blur in _CONFIG.soft] if best is not laid else []:
+        agreed = _agreement(own, image, grid)
+        if agreed > most:
+            best, most = own, agreed
+    return best
 
 
 def _agreement(own: _Laid, image: Float32, grid: JpegGrid) -> float:

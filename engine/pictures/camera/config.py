@@ -154,7 +154,6 @@ class RefinementConfig:
     farthest: float = 2.0  # a motion by more radians, depths, or e-foldings of the zoom at once is wrong
     far_margin: int = 12  # pixels around the model that are no background while the camera is still off by many
     least_pixels: int = 150  # fewer usable ones cannot carry so many unknowns
-    samples: int = 30_000  # of these, about, whose medians are taken: to 1 %, in a tenth of the time
     least_correlation: float = 0.75  # of brightness, below which a picture shows something else
     least_detail: float = 0.5  # correlation of detail below which it does
     # Standard deviations by which detail must correlate: a few strokes of a drawing, on a small piece of a model, came

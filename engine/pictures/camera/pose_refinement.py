@@ -138,16 +138,14 @@ def refine_level(
         cover = smooth(alpha, width)
         weight = _weights(alpha, depth, picture)
         used = weight > 0
-        some = np.flatnonzero(used)
-        if len(some) < _CONFIG.least_pixels:
+        if used.sum() < _CONFIG.least_pixels:
             return None
-        some = some[:: max(1, len(some) // _CONFIG.samples)]
-        unit = float(np.median(depth.ravel()[some]))
+        unit = float(np.median(depth[used]))
         if iteration == 0:
-            gain, offset = robust_line(base.ravel()[some], seen.ravel()[some])
+            gain, offset = robust_line(base[used], seen[used])
         toned = np.float32(gain) * base + np.float32(offset) * cover
         residual = seen - toned
-        spread = robust_scale(residual.ravel()[some])
+        spread = robust_scale(residual[used])
         outlying = 2.5 * spread if width == _CONFIG.blur else max(2.5 * spread, _CONFIG.trusted)
         # The background stands still when the camera moves; what covers it moves.
         gy, gx = np.gradient(toned)
