@@ -176,9 +176,8 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
         if most < _CONFIG.coded_alike:
             return laid
     for own in [replace(best, view=best.view.softened(blur)) for blur in _CONFIG.soft] if best is not laid else []:
-        agreed = _agreement(own, image, grid)
-        if agreed > most:
-            best, most = own, agreed
+        if (as_soft := _agreement(own, image, grid)) > most:
+            best, most = own, as_soft
     return best
 
 
