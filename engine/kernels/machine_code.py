@@ -64,16 +64,14 @@ def kind_of(value: Any) -> str | None:
         return _array_kinds[form]
     if isinstance(value, tuple):
         inside = [kind_of(each) for each in value]
-        return None if None in inside else f"({','.join(map(str, inside))})"
+        return None if None in inside else f"({','.join(inside)})"  # type: ignore[arg-type]
+    if type(value) is int:  # not a bool
+        return "<i8" if -(2**63) <= value < 2**63 else None
     if value is None or isinstance(value, bool | np.bool_):
         return "-" if value is None else "?"
     if isinstance(value, np.generic):
         return value.dtype.str if value.dtype.kind in "iuf" else None
-    if isinstance(value, float):
-        return "<f8"
-    if isinstance(value, int):
-        return "<i8" if -(2**63) <= value < 2**63 else None
-    return None
+    return "<f8" if isinstance(value, float) else None
 
 
 _array_kinds: dict[tuple[np.dtype[Any], int, int], str | None] = {}

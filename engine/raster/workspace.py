@@ -4,6 +4,7 @@ A rasterizer call borrows a whole workspace; two calls at the same time get two.
 cost more than the passes that fill them.
 """
 
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,7 +33,7 @@ class Workspace:
 
     def array(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
         """The array of that name, cache-line aligned, uninitialised."""
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         have = self._arrays.get(name)
         if have is None or have.size < size or have.dtype != np.dtype(dtype):
             self._arrays.pop(name, None)

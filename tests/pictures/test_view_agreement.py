@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from engine.model import Float64, Int64
-from engine.pictures.camera.voted_views import MOST, agreement_of_views
+from engine.pictures.camera.config import CONFIG
+from engine.pictures.camera.voted_views import MOST, _neighbors, agreement_of_views
 from tests.reference.view_agreement import agreement_slowly
 
 
@@ -52,3 +53,15 @@ def test_only_so_many_votes_of_a_view_are_looked_at() -> None:
     )
     _, best, _ = agreement_of_views(np.zeros(len(spots), np.int64), spots, spots, np.ones(len(spots)))
     assert best[0] == MOST
+
+
+def test_votes_are_for_the_nearest_landmarks() -> None:
+    rng = np.random.default_rng(5)
+    queries, targets = (rng.integers(0, 256, (count, 128), dtype=np.uint8) for count in (300, 40))
+    targets[30:35] = targets[7]  # as near: the first comes first
+    away = np.linalg.norm(queries[:, None].astype(np.float64) - targets, axis=2)
+    order = np.argsort(away, axis=1, kind="stable")[:, : CONFIG.votes.nearest + 1]
+    near, gain = _neighbors(queries, targets)
+    np.testing.assert_array_equal(near.reshape(300, -1), order[:, :-1])
+    away = np.take_along_axis(away, order, axis=1)
+    np.testing.assert_allclose(gain.reshape(300, -1), 1.0 - away[:, :-1] / away[:, -1:], atol=1e-12)

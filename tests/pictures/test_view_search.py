@@ -56,6 +56,11 @@ def test_kernels_say_what_their_twin_says() -> None:
     assert fine[0] == pytest.approx(again, rel=1e-3)
     assert fine[0] >= score(responses, places[1], directions[1], np.array([40, 30]), 0.1, 20.0, BINS)[0] - 1e-3
     assert np.abs(poses[0] - starts[0]).max() <= 2.3
+    places[0, ::2] *= 0.01
+    starts[0, 1:] = 300.0, 40.0, 30.0  # the others lie beyond what is kept around the picture
+    look_again(whole, within, places, directions, np.array([0]), starts, fine, poses)
+    again, _ = score(responses, places[0], directions[0], poses[0, 2:].astype(int), poses[0, 0], poses[0, 1], BINS)
+    assert fine[0] == pytest.approx(again, rel=1e-3)
 
 
 @pytest.mark.parametrize("roll", [0.0, 130.0])

@@ -17,7 +17,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
 from engine.flows.verify.config import CONFIG
 from engine.flows.verify.reference_views import ReferenceView, ReferenceViews
-from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.camera_rig import Extent, make_rig, measure_extent
 from engine.flows.views.render_cost import check_drawable
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
@@ -175,8 +175,10 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
                 best, most = own, agreed
         if most < _CONFIG.coded_alike:
             return laid
-    softer = [replace(best, view=best.view.softened(blur)) for blur in _CONFIG.soft] if best is not laid else []
-    return max([best, *softer], key=lambda own: _agreement(own, image, grid)) if softer else best
+    for own in [replace(best, view=best.view.softened(blur)) for blur in _CONFIG.soft] if best is not laid else []:
+        if (as_soft := _agreement(own, image, grid)) > most:
+            best, most = own, as_soft
+    return best
 
 
 def _agreement(own: _Laid, image: Float32, grid: JpegGrid) -> float:
@@ -356,8 +358,9 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    far = cache(lambda: far_views(opened.reference))
-    bank = cache(lambda: [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference))
+    extent = cache(lambda: measure_extent(opened.reference))
+    far = cache(lambda: far_views(opened.reference, extent()))
+    bank = cache(lambda: [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference, extent()))
     for number, image in enumerate(images):
         if not budget.allows(f"pictures {number + 1} to {len(images)}"):
             break
@@ -387,10 +390,11 @@ def read_pictures(
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
 
 
-def far_views(model: GaussianModel) -> FarViews:
+def far_views(model: GaussianModel, extent: Extent | None = None) -> FarViews:
     """The model from afar, from all around: where pictures without keypoints are sought."""
-    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, elevations=_CONFIG.edge_elevations)
-    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size))
+    extent = extent or measure_extent(model)
+    wide = make_rig(model, _CONFIG.edge_views, *_CONFIG.edge_size, extent=extent, elevations=_CONFIG.edge_elevations)
+    return FarViews(model, wide, make_rig(model, _CONFIG.close_views, *_CONFIG.edge_size, extent=extent))
 
 
 def _how_read(number: int, read: ReadPicture) -> Iterator[str]:

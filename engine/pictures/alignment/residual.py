@@ -11,6 +11,7 @@
 Everything depends on the picture and the unmarked reference alone: no key, no chip, no mark (DESIGN 4.9).
 """
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def image_cotangent(
         return np.zeros_like(reference_image, dtype=np.float32)
     reference = np.clip(reference_image, 0.0, 1.0).astype(np.float32)
     toned = fit_colors(reference, warped, mask) if toned is None else toned
-    usable = mask & (toned.slope.min(axis=2) > _CONFIG.least_slope)
+    usable = mask & (reduce(np.minimum, np.moveaxis(toned.slope, 2, 0)) > _CONFIG.least_slope)  # `min` is slow
     if usable.sum() < _CONFIG.least_pixels:
         return np.zeros_like(reference)
     residual = ((warped - toned.predicted) * usable[..., None]) @ OPPONENT.T  # (H, W, 3): Y, Cb, Cr

@@ -126,7 +126,7 @@ def find_camera(
         raise InputError(f"a picture of {size} pixels: {CONFIG.least_side} a side and three colors are needed")
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite: save it again as 8-bit RGB")
-    if np.ptp(image, axis=(0, 1)).max() < CONFIG.least_spread:
+    if max(np.ptp(image[..., c]) for c in range(3)) < CONFIG.least_spread:
         return None  # one color: nothing to find, and every search would run to its end
     picture = Picture(reference_model, np.asarray(image, dtype=np.float32))
     candidates = Candidates(picture, landmarks, config.focals, config.other_focals)

@@ -107,7 +107,8 @@ def _responses(picture: Float32, reach: int) -> tuple[Float32, Float32]:
     padded by `PAD` pixels or up to three more."""
     import cv2
 
-    size, turns = gradient(picture)
+    size, *steps = gradient(picture)
+    turns = np.arctan2(*steps)
     weight = size / (size + 0.5 * np.quantile(size, 0.8) + 0.004)
     height, width = size.shape
     maps = np.zeros((BINS, height + -height % 4 + 2 * PAD, width + -width % 4 + 2 * PAD), dtype=np.float32)

@@ -59,15 +59,15 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
     )
 
 
-def gradient(image: Float32) -> tuple[Float32, Float32]:
-    """(H, W) size and direction of the steepest channel's gradient of an image (H, W, C)."""
+def gradient(image: Float32) -> tuple[Float32, Float32, Float32]:
+    """(H, W) size of the steepest channel's gradient of an image (H, W, C), and its steps down and across."""
     gy, gx = np.gradient(smooth(image, 1.0).reshape(image.shape), axis=(0, 1))
     size = gx * gx + gy * gy
     if size.shape[2] > 1:
         best = size.argmax(axis=2)[..., None]
         gx, gy, size = (np.take_along_axis(each, best, axis=2) for each in (gx, gy, size))
     gx, gy, size = (each[..., 0] for each in (gx, gy, size))
-    return np.sqrt(size).astype(np.float32), np.arctan2(gy, gx).astype(np.float32)
+    return np.sqrt(size).astype(np.float32), gy, gx
 
 
 def _edge_points(image: Float32, alpha: Float32) -> tuple[Float64, Float32]:
@@ -75,15 +75,18 @@ def _edge_points(image: Float32, alpha: Float32) -> tuple[Float64, Float32]:
     import cv2
 
     solid = cv2.erode(alpha, np.ones((5, 5), dtype=np.uint8)) > 0.7
-    outline, outline_turns = gradient(alpha[..., None])
-    within, within_turns = gradient(image)
+    outline, *outline_steps = gradient(alpha[..., None])
+    within, *within_steps = gradient(image)
     chosen = _apart(outline * (outline > 0.1), _CONFIG.points // 2, np.zeros(alpha.shape, dtype=np.bool_))
     near = np.zeros(alpha.shape, dtype=np.bool_)
     if len(chosen):
         near[chosen[:, 1], chosen[:, 0]] = True
     more = _apart(within * solid * (within > 0.01), _CONFIG.points - len(chosen), near)
-    turns = np.concatenate([outline_turns[chosen[:, 1], chosen[:, 0]], within_turns[more[:, 1], more[:, 0]]])
-    return np.concatenate([chosen, more]).astype(np.float64) + 0.5, turns.astype(np.float32)
+    turns = [
+        np.arctan2(*(step[at[:, 1], at[:, 0]] for step in steps))
+        for at, steps in ((chosen, outline_steps), (more, within_steps))
+    ]
+    return np.concatenate([chosen, more]).astype(np.float64) + 0.5, np.concatenate(turns).astype(np.float32)
 
 
 def _apart(strength: Float32, count: int, taken: Bool) -> Int64:
@@ -91,6 +94,7 @@ def _apart(strength: Float32, count: int, taken: Bool) -> Int64:
     import cv2
 
     free = cv2.dilate(taken.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) == 0
-    order = np.argsort(-strength.ravel(), kind="stable")[: 20 * count]
+    there = np.flatnonzero(strength > 0)
+    order = there[np.argsort(-strength.ravel()[there], kind="stable")[: 20 * count]]
     chosen: Int64 = spread_out(strength, order, count, free, _CONFIG.apart)
     return chosen

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.kernels.jit import kernel, parallel_kernel, share_of
+from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Bool, Float32, Float64, Int64
 from engine.pictures.camera.config import CONFIG
@@ -43,13 +43,30 @@ def look_again(
     scores, poses : (F,), (F, 4) out
     """
     room = np.empty((thread_count(), 3, directions.shape[1]), dtype=np.int64)
-    _look_again(maps, inside, places, directions, views, starts, room, scores, poses)
+    sums = np.empty((thread_count(), 2, 5, 5))
+    _look_again(maps, inside, places, directions, views, starts, room, sums, scores, poses)
+
+
+@inlined
+def _sum_around(maps, inside, bins, rows, columns, said, counted):
+    """What the picture says to points at 25 places up to two pixels from theirs, and how many lie inside (5, 5)."""
+    said[:] = 0.0
+    counted[:] = 0.0
+    for p in range(len(bins)):  # farther out nothing is said: the picture is padded by more
+        if 2 <= rows[p] < maps.shape[1] - 2 and 2 <= columns[p] < maps.shape[2] - 2:
+            top, left = rows[p] - 2, columns[p] - 2
+            one = maps[bins[p]]
+            for j in range(5):
+                for i in range(5):
+                    said[j, i] += one[top + j, left + i]
+                    counted[j, i] += inside[top + j, left + i]
 
 
 @parallel_kernel
-def _look_again(maps, inside, places, directions, views, starts, room, scores, poses, call):
+def _look_again(maps, inside, places, directions, views, starts, room, sums, scores, poses, call):
     points = directions.shape[1]
     columns, rows, bins = room[call[0], 0], room[call[0], 1], room[call[0], 2]
+    said, counted = sums[call[0], 0], sums[call[0], 1]
     for f in share_of(views.shape[0], call):
         view = views[f]
         best = np.float32(-1e9)
@@ -64,19 +81,13 @@ def _look_again(maps, inside, places, directions, views, starts, room, scores, p
                     x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
                     columns[p] = int(np.floor(c * x - s * y + 0.5)) + PAD + int(starts[f, 2])
                     rows[p] = int(np.floor(s * x + c * y + 0.5)) + PAD + int(starts[f, 3])
-                for dy in range(-2, 3):
-                    for dx in range(-2, 3):
-                        said, counted = 0.0, 0.0
-                        for p in range(points):
-                            row, column = rows[p] + dy, columns[p] + dx
-                            if row < 0 or column < 0 or row >= maps.shape[1] or column >= maps.shape[2]:
-                                continue
-                            said += maps[bins[p], row, column]
-                            counted += inside[row, column]
-                        if counted >= LEAST_INSIDE * points and said / np.sqrt(counted) > best:
-                            best = said / np.sqrt(counted)
+                _sum_around(maps, inside, bins, rows, columns, said, counted)
+                for j in range(5):
+                    for i in range(5):
+                        if counted[j, i] >= LEAST_INSIDE * points and said[j, i] / np.sqrt(counted[j, i]) > best:
+                            best = said[j, i] / np.sqrt(counted[j, i])
                             poses[f, 0], poses[f, 1] = angle, radius
-                            poses[f, 2], poses[f, 3] = starts[f, 2] + dx, starts[f, 3] + dy
+                            poses[f, 2], poses[f, 3] = starts[f, 2] + (i - 2), starts[f, 3] + (j - 2)
         scores[f] = best
 
 

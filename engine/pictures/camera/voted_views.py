@@ -16,6 +16,7 @@ from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Camera, Float64, Int64
 from engine.pictures.camera.camera_motion import project, swung
 from engine.pictures.camera.config import CONFIG
+from engine.pictures.landmarks.config import CONFIG as MATCHING
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 
@@ -59,15 +60,33 @@ def vote_for_views(
     return found
 
 
+@parallel_kernel
+def _nearest(products, squares, near, distance, call):  # type: ignore[no-untyped-def]
+    """Of each row, the targets of least `distance` but for the query's own square, the first of equal ones first."""
+    for k in share_of(len(products), call):
+        for n in range(len(squares)):
+            off = squares[n] - np.float32(2.0) * products[k, n]
+            if off < distance[k, -1]:
+                place = distance.shape[1] - 1
+                while place > 0 and off < distance[k, place - 1]:
+                    distance[k, place], near[k, place] = distance[k, place - 1], near[k, place - 1]
+                    place -= 1
+                distance[k, place], near[k, place] = off, n
+
+
 def _neighbors(queries: npt.NDArray[np.uint8], targets: npt.NDArray[np.uint8]) -> tuple[Int64, Float64]:
     """The nearest targets of each query, in one row, and how much nearer each is than the next one, 0 to 1."""
-    import cv2
-
-    # Squares of whole numbers: exact, whatever the machine.
-    distance, near = cv2.batchDistance(queries, targets, cv2.CV_32S, normType=cv2.NORM_L2SQR, K=_CONFIG.nearest + 1)
-    away = np.sqrt(distance, dtype=np.float64)
+    # Sums of whole numbers below 2^24 are exact, whatever the machine.
+    query, target = queries.astype(np.float32), targets.astype(np.float32)
+    own, squares = (np.einsum("ij,ij->i", each, each) for each in (query, target))
+    near = np.zeros((len(query), _CONFIG.nearest + 1), dtype=np.int64)
+    distance = np.full(near.shape, np.inf, dtype=np.float32)
+    for low in range(0, len(query), MATCHING.chunk):
+        rows = slice(low, low + MATCHING.chunk)
+        _nearest(query[rows] @ target.T, squares, near[rows], distance[rows])
+    away = np.sqrt(distance + own[:, None], dtype=np.float64)
     gains = 1.0 - away[:, : _CONFIG.nearest] / np.maximum(away[:, _CONFIG.nearest :], 1e-12)
-    return near[:, : _CONFIG.nearest].reshape(-1).astype(np.int64), gains.reshape(-1)
+    return near[:, : _CONFIG.nearest].reshape(-1), gains.reshape(-1)
 
 
 def _camera(view: Camera, carried: Float64, size: tuple[int, int]) -> Camera:
