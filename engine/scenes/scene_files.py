@@ -21,6 +21,7 @@ from engine.formats.model_reading import weigh_files
 from engine.formats.ply.header import MAX_HEADER_BYTES
 from engine.formats.points import read_points
 from engine.formats.repairs import Repair
+from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 from engine.scenes.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
 from engine.scenes.codebook_model import CodebookModel
@@ -56,6 +57,7 @@ POINTS = "points"
 FOLDERS = (FRAMES, CODEBOOK)
 CLIPS = (SPACETIME, FRAMES)
 
+_WRITTEN_BY_HAND = ("ply", "glb")  # by scripts of many, which mistake the order of a quaternion
 DEFORMATION = "deformation.pth"
 """The network of a 4DGS scene (Wu et al., CVPR 2024), in the folder of the Gaussians that it moves."""
 
@@ -76,6 +78,11 @@ class Loaded:
         if isinstance(self.scene, SpacetimeModel | FrameSequence):
             return self.scene.canonical()
         return self.scene.decode() if isinstance(self.scene, CodebookModel) else self.scene
+
+    @cached_property
+    def noticed(self) -> tuple[Repair, ...]:
+        """The repairs, and a hint that concerns only those who publish the model."""
+        return (*self.repairs, *(order_hint(self.model) if self.format in _WRITTEN_BY_HAND else ()))
 
 
 def folder_kind(path: str | os.PathLike[str]) -> str | None:

@@ -44,6 +44,7 @@ class Asset:
     binary: memoryview
     file: str
     folder: Path | None = None  # whose files it may name
+    opened: list[Path] = field(default_factory=list)  # of these files
     decoded: dict[int, memoryview] = field(default_factory=dict)  # buffers out of data URIs, or other files
 
     def rows(self, kind: str) -> list[Any]:
@@ -66,6 +67,13 @@ class Asset:
     def fault(self, message: str, element: str, prop: str | None = None) -> FormatError:
         """What is wrong, and where."""
         return FormatError(message, file=self.file, element=element, prop=prop)
+
+    @property
+    def generator(self) -> str:
+        """The program that wrote it, as it says; empty where it says nothing."""
+        about = self.json.get("asset")
+        found = about.get("generator") if isinstance(about, dict) else None
+        return found if isinstance(found, str) else ""
 
     @property
     def size_beside(self) -> int:
@@ -141,9 +149,10 @@ class Asset:
             except (binascii.Error, ValueError):
                 raise self.fault(f"{what} is no base64", element) from None
         if not isinstance(uri, str) or self.folder is None:
-            message = f"{what} lies in another file ({uri!r:.60}); give the scene as .glb"
+            message = f"{what} lies in another file ({uri!r:.60}): give the scene as one file, .glb"
             raise UnsupportedFormatError(message, file=self.file, element=element)
         path = beside(self.folder, unquote(uri), self.file)
+        self.opened.append(path)
         return read_regular(path, str(path))
 
 

@@ -69,7 +69,8 @@ def _corners(
     light: Float64 = np.ones((len(points), 3))
     if "COLOR_0" in attributes:
         stored = np.clip(values("COLOR_0", 3, 4)[:, :3], 0, 1).astype(np.float64)
-        light = to_linear(stored) if _is_as_shown(asset) else stored
+        as_shown = any(name in asset.generator.lower() for name in _AS_SHOWN)
+        light = to_linear(stored) if as_shown else stored
     if (texture := _texture(asset, primitive)) is not None:
         image = partial(_content, asset, texture)
         try:
@@ -84,12 +85,6 @@ def _corners(
     with np.errstate(over="ignore", invalid="ignore"):  # what is no place is left out
         placed = (points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
     return placed, from_linear(light).astype(np.float32)
-
-
-def _is_as_shown(asset: Asset) -> bool:
-    about = asset.json.get("asset")
-    generator = str(about.get("generator", "")).lower() if isinstance(about, dict) else ""
-    return any(name in generator for name in _AS_SHOWN)
 
 
 def _base(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]:

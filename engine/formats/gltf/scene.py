@@ -1,4 +1,4 @@
-"""Gaussians in glTF: the extension KHR_gaussian_splatting, read and written (as .glb; .gltf with data URIs is read).
+"""Gaussians in glTF: the extension KHR_gaussian_splatting, read (.glb, .gltf) and written (.glb).
 
 Specification: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting (complete, ratified): points with
 linear scales and opacities, quaternions x, y, z, w, spherical harmonics with INRIA's signs, one accessor a
@@ -10,12 +10,14 @@ of Cesium's tiles, which hold glTF's axes as they are. Other drafts are refused 
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.declaration import Place
 from engine.formats.gltf.container import MAGIC, UNPACK, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, primitives_of, shown_meshes
 from engine.formats.guards import check_count
@@ -69,14 +71,15 @@ def looks_like_gltf(data: bytes | memoryview) -> bool:
     return isinstance(asset, dict) and "version" in asset
 
 
-def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+def read_gltf(data: bytes, *, file: str, place: Place | None = None) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """All Gaussians that the scene shows, in PLY's axes, primitive after primitive.
 
     FormatError if lengths, indices and counts do not agree, which is checked before anything is decoded;
     UnsupportedFormatError if there are no Gaussians, or they need an extension, a kernel, a color space or a
     transformation that has no place here.
     """
-    asset = unpack(data, file=file)
+    place = place or Place()
+    asset = replace(unpack(data, file=file, folder=place.folder), opened=place.opened)
     _check_required(asset)
     shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
     if not shown:
@@ -85,7 +88,8 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
         raise UnsupportedFormatError(message, file=file, element="meshes")
     plain = [_attributes(asset, primitive) for primitive, _ in shown if _spz_view(primitive) is None]
     if plain:
-        check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), len(data), file=file)
+        size = len(data) + asset.size_beside
+        check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), size, file=file)
     parts: list[GaussianModel] = []
     repairs = _left_out(asset, [primitive for primitive, _ in shown])
     origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
@@ -221,9 +225,14 @@ def _check_said(asset: Asset, said: Mapping[str, Any], mesh: object) -> None:
         raise asset.fault("is no object", f"mesh {mesh}", SPZ)
     if nested and "kernel" not in said:  # a tile of Cesium's
         return
+    if not {"kernel", "colorSpace"} <= said.keys():
+        by = f", written by {ascii(asset.generator)[:80]}" if asset.generator else ""
+        message = f"is of a draft of {EXTENSION}, which names no kernel or color space{by}: update that program and"
+        message += " export the scene again, or export it as .ply or .spz"
+        raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION)
     for key, wanted in (("kernel", "ellipse"), ("colorSpace", COLOR_SPACE), ("projection", "perspective")):
-        if said.get(key, wanted if key == "projection" else None) != wanted:
-            message = f"{said.get(key)!r:.60} is not read here, only {wanted!r}"
+        if said.get(key, wanted) != wanted:
+            message = f"{said[key]!r:.60} is not read here, only {wanted!r}"
             raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION, prop=key)
 
 
@@ -293,6 +302,4 @@ def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[Gaussia
 
 def _is_log(asset: Asset, scales: Float32) -> bool:
     """Whether sizes are logarithms: its writer is known to have stored them so, and some are negative."""
-    about = asset.json.get("asset")
-    generator = about.get("generator") if isinstance(about, dict) else None
-    return isinstance(generator, str) and generator.startswith("splat-transform") and bool((scales < 0).any())
+    return asset.generator.startswith("splat-transform") and bool((scales < 0).any())
