@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.ply.header import Element, Header
+from engine.formats.ply.lists import end_of_rows
 
 _LINES_AT_ONCE = 4096
 _WINDOWS = re.compile(r"[-+]?(nan\((ind|snan)\)|1\.#(ind|inf|qnan|snan)\d*)", re.IGNORECASE)
@@ -23,20 +24,18 @@ def read_tables(
 
     That rows times bytes a row is what follows the header is checked first. Of a binary file they are views on its
     bytes in its byte order. FormatError if there is less, or more, than the header announces, a line of an ASCII file
-    is not what it should be (with its row and property), or lists stand in the way of an element wanted.
+    is not what it should be (with its row and property), or an element wanted has lists.
     """
     for element in header.elements:
         listed = next((p for p in element.properties if p.is_list), None)
-        if listed is not None and (header.byte_order or element.name in wanted):  # lines of text are skipped as such
-            message = "lists of different lengths in rows that must be passed to find others: export without them"
+        if listed is not None and element.name in wanted:
+            message = "lists of different lengths: export without them"
             raise FormatError(message, file=file, element=element.name, prop=listed.name)
-        if element.name == wanted[-1]:
-            break
     if not header.byte_order:
         return _read_ascii(data, header, wanted, file)
     length = header.size + sum(element.count * element.stride for element in header.elements)
     ends_as_text = bytes(data[length : length + 3]) in (b"\n", b"\r\n")
-    offsets = _locate(header, length if ends_as_text else len(data), file=file)
+    offsets = _locate(data, header, length if ends_as_text else len(data), wanted[-1], file)
     tables = {}
     for element in header.elements:
         if element.name in wanted:
@@ -45,18 +44,19 @@ def read_tables(
     return tables
 
 
-def _locate(header: Header, length: int, file: str) -> dict[str, int]:
-    """Offset of every element before the first one with lists, once all bytes are known to be there.
+def _locate(data: bytes | memoryview, header: Header, length: int, last: str, file: str) -> dict[str, int]:
+    """Offset of every element up to the one called `last`, once all bytes are known to be there.
 
-    With lists at the end of the file, which are skipped, the rest must only be long enough.
+    With lists after it, which are skipped, the rest must only be long enough.
     """
     offsets: dict[str, int] = {}
     offset, open_end = header.size, False
     for element in header.elements:
-        if not open_end and not element.has_lists:
-            offsets[element.name] = offset
-        open_end = open_end or element.has_lists
+        offsets[element.name] = offset
+        open_end = open_end or (element.has_lists and last in offsets)
         offset += element.count * element.stride
+        if element.has_lists and not open_end and offset <= length:
+            offset = end_of_rows(data, header, element, offsets[element.name], file=file)
         if offset > length:
             there = length - (offset - element.count * element.stride)
             message = (
