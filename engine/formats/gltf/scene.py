@@ -56,7 +56,7 @@ _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 def looks_like_gltf(data: bytes | memoryview) -> bool:
     """Whether bytes begin as a GLB, or are the JSON of a .gltf: an object that names a version in its `asset`, which
     tiles of 3D Tiles do as well. JSON that cannot be parsed, with such a member, is a damaged one."""
-    head = bytes(data[:1024])
+    head = bytes(data[:1024]).removeprefix(b"\xef\xbb\xbf")
     if head.startswith(MAGIC):
         return True
     if head.lstrip()[:1] != b"{" or any(byte < 32 and byte not in b"\t\n\r" for byte in head):
@@ -124,6 +124,8 @@ def _left_out(asset: Asset, shown: list[Mapping[str, Any]]) -> list[Repair]:
     meshes = {mesh for mesh, _ in shown_meshes(asset)}
     others = sum(len(primitives_of(asset, mesh)) for mesh in meshes) - len({id(primitive) for primitive in shown})
     found += [f"{others} meshes or points without Gaussians"] if others else []
+    hidden = len(asset.rows("meshes")) - len(meshes)
+    found += [f"{hidden} meshes that its scene does not show"] if hidden else []
     attributes = {name: None for primitive in shown for name in primitive.get("attributes", ())}
     found += [name for name in attributes if not name.startswith((EXTENSION, "POSITION", "COLOR_0"))]
     found += ["targets"] if any("targets" in primitive for primitive in shown) else []

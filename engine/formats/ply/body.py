@@ -129,7 +129,8 @@ def _fault(block: list[str], start: int, element: Element, file: str) -> FormatE
             try:
                 np.loadtxt([word], dtype=prop.code, comments=None)
             except (ValueError, OverflowError):
-                hint = " (export it with decimal points)" if "," in word else ""
+                hint = "separate values by blanks" if word.endswith(",") else "export it with decimal points"
+                hint = f" ({hint})" if "," in word else ""
                 message = f"{word[:40]!a} is no {np.dtype(prop.code).name}{hint}"
                 return FormatError(message, file=file, element=element.name, row=row, prop=prop.name)
     return FormatError("cannot be read", file=file, element=element.name, row=start)

@@ -16,6 +16,10 @@ from engine.model import SH_C0, Float32
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
+_ALIASES = {f"{other}_{i}": f"{own}_{i}" for own, other in (("rot", "rotation"), ("scale", "scaling")) for i in range(4)}
+_ALIASES |= {f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")}
+_ALIASES |= {f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")}
+"""Names that scripts write, and INRIA's."""
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
 _LEAST_HALF = 2.0**-10
 """Whole numbers below 5,120 are half floats below this: a column of them has no larger value."""
@@ -34,12 +38,16 @@ _FEW = 64  # too few to say from their values what they are
 def plain_names(header: Header) -> tuple[Header, list[Repair]]:
     """The header with INRIA's names, where a program put a prefix before them (CloudCompare: ``scalar_``) or wrote
     colors where the first coefficients should be (nerfstudio: ``red``, ``green``, ``blue``)."""
-    vertex = header.element("vertex")
+    vertex, repairs = header.element("vertex"), list[Repair]()
     if vertex is None:
-        return header, []
+        gaussians = [element for element in header.elements if element.names >= _GAUSSIAN]
+        if len(gaussians) != 1:
+            return header, []
+        vertex = replace(gaussians[0], name="vertex")
+        header = replace(header, elements=tuple(vertex if e is gaussians[0] else e for e in header.elements))
+        repairs.append(Repair("element_renamed", vertex.count, f"element {gaussians[0].name!a} was read as 'vertex'"))
     names = [p.name for p in vertex.properties]
     prefix = next((name.removesuffix("opacity") for name in names if name.endswith("opacity")), "")
-    repairs: list[Repair] = []
     lower = [name.lower() for name in names]
     if names != lower and set(lower) >= _GAUSSIAN > set(names) & _GAUSSIAN and len(set(lower)) == len(names):
         repairs.append(Repair("names_lowered", len(names), "names of properties were read in lower case"))
@@ -49,6 +57,13 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
         if set(new) >= _GAUSSIAN:
             count = sum(a != b for a, b in zip(names, new, strict=True))
             repairs.append(Repair("names_prefixed", count, f"the prefix {prefix[:40]!r} of {count} names was dropped"))
+            names = new
+    renamed = [name for name in names if _ALIASES.get(name, name) not in names]
+    if renamed and not {"scale_0", "rot_0"} <= set(names):
+        new = [_ALIASES[name] if name in renamed else name for name in names]
+        if set(new) >= _GAUSSIAN and len(set(new)) == len(new):
+            text = f"names {named(renamed)} were read as INRIA's {named(_ALIASES[name] for name in renamed)}"
+            repairs.append(Repair("names_replaced", len(renamed), text))
             names = new
     colors = next((c for c in COLORS if set(c) <= set(names)), None)
     if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:

@@ -3,6 +3,7 @@
 
 # mypy: allow-untyped-defs
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -152,10 +153,7 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         message = "is of Deformable Beta Splatting, whose kernels are no Gaussians: train the scene as Gaussians"
         raise UnsupportedFormatError(message, file=file, element="vertex", prop="beta")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
-        message = (
-            "is missing; where the colors lie in codebook files of its own (Compact3D), give the folder; where they"
-            " have another name, give them this one"
-        )
+        message = f"is missing{_unknown(vertex)}; where the colors lie in codebook files (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
     if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names
@@ -170,10 +168,7 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         needed[:-1] if is_ball and not vertex.names & rotations else [*needed[: 9 - is_ball], *sorted(rotations)]
     ):
         if name not in vertex.names:
-            known = {*needed, "scale_2", *rotations, *_NORMALS}
-            others = [p.name for p in vertex.properties if p.name not in known and not p.name.startswith("f_rest_")]
-            there = f"; not known here: {named(others)}: give each the name that INRIA's files have" if others else ""
-            raise FormatError(f"is missing{there}", file=file, element="vertex", prop=name)
+            raise FormatError(f"is missing{_unknown(vertex)}", file=file, element="vertex", prop=name)
 
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
@@ -186,6 +181,13 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     if others:
         repairs.append(ignored("elements", others))
     return vertex, used, extra, repairs
+
+
+def _unknown(vertex: Element) -> str:
+    """What to do with properties that no Gaussian has, if there are some."""
+    known = re.compile(r"[xyz]|n[xyz]|opacity|(f_dc|f_rest|scale|rot)_\d+")
+    others = [p.name for p in vertex.properties if not known.fullmatch(p.name)]
+    return f"; not known here: {named(others)}: give each the name that INRIA's files have" if others else ""
 
 
 def _check_order(records: npt.NDArray[Any], file: str) -> None:

@@ -95,9 +95,9 @@ def unpack(data: bytes, *, file: str) -> Payload:
 
 def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
-        raise FormatError(
-            f"is gzip, but no SPZ file (magic {magic:#010x}): unpack it first", file=file, element="header"
-        )
+        inside = magic.to_bytes(4, "little")
+        message = f"is gzip, but no SPZ file (in it: {inside!a} and more): unpack it (gunzip), and give what is in it"
+        raise FormatError(message, file=file)
     if header.version not in versions:
         message = f"SPZ version {header.version}, read are 1 to 4: export one of these, or .ply"
         if header.version == 4:
