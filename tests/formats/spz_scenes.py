@@ -54,9 +54,7 @@ def as_version_4(data: bytes) -> bytes:
         at += stride * n
     extension = frame_record(4)
     packed = [zstd.compress(each, 7) for each in streams]
-    header = struct.pack(
-        "<IIIBBBBI12x", magic, 4, n, degree, bits, flags | 2, len(streams), 32 + len(extension)
-    )
+    header = struct.pack("<IIIBBBBI12x", magic, 4, n, degree, bits, flags | 2, len(streams), 32 + len(extension))
     entries = [struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, streams, strict=True)]
     return b"".join([header, extension, *entries, *packed])
 

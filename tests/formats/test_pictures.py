@@ -152,16 +152,24 @@ def tiff_with(values: np.ndarray, orientation: int = 1) -> bytes:
     bits_at = 8 + 2 + 12 * (len(tags) + 2) + 4
     tags |= {258: 16 if channels == 1 else bits_at, 273: bits_at + 8}
     entries = b"".join(
-        struct.pack("<HHII", tag, 3 if tag == 258 else 4, channels if tag == 258 else 1, tags[tag]) for tag in sorted(tags)
+        struct.pack("<HHII", tag, 3 if tag == 258 else 4, channels if tag == 258 else 1, tags[tag])
+        for tag in sorted(tags)
     )
-    return b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + entries + bytes(4) + struct.pack("<4H", *[16] * 4) + levels
+    return (
+        b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + entries + bytes(4) + struct.pack("<4H", *[16] * 4) + levels
+    )
 
 
 RAMP = np.linspace(0.25, 0.26, 64)[None, :, None] + np.array([0, 0.1, 0.2])  # 2.5 steps of 8 bits
 
 
 def test_all_bits_of_a_tiff_are_read() -> None:
-    for turn, expected in ((1, RAMP), (6, np.rot90(RAMP, -1)), (5, RAMP.swapaxes(0, 1)), (7, RAMP[::-1, ::-1].swapaxes(0, 1))):
+    for turn, expected in (
+        (1, RAMP),
+        (6, np.rot90(RAMP, -1)),
+        (5, RAMP.swapaxes(0, 1)),
+        (7, RAMP[::-1, ::-1].swapaxes(0, 1)),
+    ):
         np.testing.assert_allclose(read_picture(tiff_with(RAMP, turn)), expected, atol=2e-5)
     clear = np.dstack([RAMP, np.full(RAMP.shape[:2], 0.5)])
     np.testing.assert_allclose(read_picture(tiff_with(clear)), RAMP / 2, atol=3e-5)

@@ -92,6 +92,20 @@ def test_names_that_are_not_known_are_named() -> None:
         read_model(plain_ply(names, ROWS))
 
 
+@pytest.mark.parametrize("other", ["features_rest", "sh", "sh_rest"])
+def test_harmonics_of_another_name_are_not_lost(other: str) -> None:
+    """Their order is not known: coefficient after coefficient, or channel after channel."""
+    names = [name.replace("f_rest", other) for name in NAMES]
+    with pytest.raises(FormatError, match=rf"'f_rest_0': is missing, but 9 properties such as '{other}_0'"):
+        read_model(plain_ply(names, ROWS))
+    assert read_model(plain_ply([*NAMES, "sh_0"], np.hstack([ROWS, ROWS[:, :1]]))).model.sh_degree == 1
+
+
+def test_the_first_version_of_gltf_is_named() -> None:
+    with pytest.raises(UnsupportedFormatError, match=r"glTF version '1\.0', read is 2"):
+        read_model(b'{"asset": {"version": "1.0"}, "meshes": {}}')
+
+
 def test_an_element_of_another_name() -> None:
     """Street Gaussians has one for each thing that moves; some scripts one that is called after the Gaussians."""
     whole = plain_ply(NAMES, ROWS)

@@ -135,7 +135,7 @@ def test_an_archive_of_several_layers(tmp_path: Path) -> None:
 def test_a_volume_of_nurec_is_named(tmp_path: Path) -> None:
     """As 3DGRUT packs it for Omniverse."""
     with zipfile.ZipFile(tmp_path / "scene.usdz", "w") as archive:
-        archive.writestr("default.usda", "#usda 1.0\ndef Volume \"gauss\" {}\n")
+        archive.writestr("default.usda", '#usda 1.0\ndef Volume "gauss" {}\n')
         archive.writestr("scene.nurec", b"\x1f\x8b")
     with pytest.raises(UnsupportedFormatError, match=r"NuRec: export the scene as \.ply"):
         read_model(tmp_path / "scene.usdz")

@@ -199,7 +199,11 @@ def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
 def _parse(text: bytes, file: str, limit: int) -> Json:
     if len(text) > limit:
         raise FormatError(f"its JSON has {len(text)} bytes, more than {limit}", file=file)
-    return json_object(text, file=file, element="JSON")
+    parsed = json_object(text, file=file, element="JSON")
+    about = parsed.get("asset")
+    if isinstance(about, dict) and str(about.get("version")).startswith("1."):
+        raise UnsupportedFormatError(f"glTF version {str(about['version'])[:20]!a}, read is 2", file=file)
+    return parsed
 
 
 def _whole(asset: Asset, row: Mapping[str, Any], key: str, element: str, default: int | None = None) -> int:

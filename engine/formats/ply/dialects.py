@@ -16,7 +16,9 @@ from engine.model import SH_C0, Float32
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
-_ALIASES = {f"{other}_{i}": f"{own}_{i}" for own, other in (("rot", "rotation"), ("scale", "scaling")) for i in range(4)}
+_ALIASES = {
+    f"{other}_{i}": f"{own}_{i}" for own, other in (("rot", "rotation"), ("scale", "scaling")) for i in range(4)
+}
 _ALIASES |= {f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")}
 _ALIASES |= {f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")}
 """Names that scripts write, and INRIA's."""

@@ -37,6 +37,7 @@ REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16, 72: 16}
 _AXES = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
 _ANCHORS = ("f_anchor", "f_offset", "anchor_feat")
+_HARMONICS = re.compile(r"(sh|shs|shn|sh_rest|features?_rest|sh_coeffs?)_?\d+", re.IGNORECASE)
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 
@@ -170,6 +171,11 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         if name not in vertex.names:
             raise FormatError(f"is missing{_unknown(vertex)}", file=file, element="vertex", prop=name)
 
+    harmonics = [name for name in vertex.names if _HARMONICS.fullmatch(name)]
+    if harmonics and "f_rest_0" not in vertex.names:
+        message = f"is missing, but {len(harmonics)} properties such as {min(harmonics)!a} look like harmonics: name them"
+        message += " f_rest_0 and so on, all of red first, then green, then blue"
+        raise FormatError(message, file=file, element="vertex", prop="f_rest_0")
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
     known = {*needed, FILTER, "scale_2", *rotations, *(f"f_rest_{i}" for i in range(rest))}

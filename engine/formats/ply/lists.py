@@ -32,7 +32,10 @@ def plain_lists(data: bytes | memoryview, header: Header, last: str) -> Header:
 
 
 def _plain(data: bytes | memoryview, header: Header, element: Element, offset: int) -> Element:
-    first = _first_row(data, header, element, offset)
+    try:
+        first = _first_lengths(data, header, replace(element, count=1), offset)
+    except FormatError:  # it is reported when its rows are read
+        return element
     properties: list[Property] = []
     for prop, length in zip(element.properties, first, strict=True):
         properties.append(Property(prop.name, prop.code))
@@ -51,25 +54,14 @@ def _plain(data: bytes | memoryview, header: Header, element: Element, offset: i
     return plain
 
 
-def _first_row(data: bytes | memoryview, header: Header, element: Element, offset: int) -> list[int]:
-    """For each property the length of its list, `_LONGEST` + 1 where there is none; 0 of what is no list."""
-    words: list[bytes] = []
-    if not header.byte_order:
-        before = sum(e.count for e in header.elements[: header.elements.index(element)])
-        words = next(islice(io.BytesIO(data[header.size :]), before, None), b"").split(None, _LONGEST * 64)
-    lengths, at = [], 0
-    for prop in element.properties:
-        length = 0
-        if prop.is_list:
-            try:
-                code = header.byte_order + prop.code
-                length = int(np.frombuffer(data, code, 1, offset + at)[0]) if header.byte_order else int(words[at])
-            except (ValueError, IndexError):
-                length = -1
-            length = length if 0 <= length <= _LONGEST else _LONGEST + 1
-        lengths.append(length)
-        at += int(prop.code[1]) + length * int(prop.item[1:] or 0) if header.byte_order else 1 + length
-    return lengths
+def _first_lengths(data: bytes | memoryview, header: Header, one: Element, offset: int) -> list[int]:
+    """For each property of an element of one row, the number of its values."""
+    order = header.byte_order
+    if not order:
+        names = [e.name for e in header.elements]
+        before = sum(e.count for e in header.elements[: names.index(one.name)])
+        data, order, offset = _packed(data[header.size :], one, before, ""), "<", 0
+    return [length for _, length, _ in _values(data, order, one, offset, "")]
 
 
 def end_of_rows(data: bytes | memoryview, header: Header, element: Element, offset: int, *, file: str) -> int:
