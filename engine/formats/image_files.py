@@ -139,18 +139,15 @@ def _deep_in_srgb(colors: Float32, profile: bytes) -> Float32:
     """Colors (H, W, 1 or 3) in sRGB, interpolated between those of the levels of 8 bits around, which Pillow converts;
     as they are where that makes no difference."""
     channels, converted = colors.shape[2], np.empty((*colors.shape[:2], 3), np.float32)
-    try:
-        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        transform = ImageCms.buildTransform(source, _SRGB, "L" if channels == 1 else "RGB", "RGB")
-    except (ImageCms.PyCMSError, OSError, ValueError):
-        return colors
     for top in range(0, len(colors), _ROWS_AT_ONCE):
         block = colors[top : top + _ROWS_AT_ONCE] * 255
         below = np.minimum(block, 254).astype(np.uint8)
         shown = []
         for step in (np.zeros(channels, np.uint8), *np.eye(channels, dtype=np.uint8)):
             image = Image.fromarray((below + step).reshape(below.shape[: 2 + (channels > 1)]))
-            shown.append(np.asarray(ImageCms.applyTransform(image, transform), np.float32))
+            if (seen := _converted(image, profile, "RGB")) is None:
+                return colors
+            shown.append(np.asarray(seen, np.float32))
         parts = ((block - below)[..., [c]] * (shown[1 + c] - shown[0]) for c in range(channels))
         converted[top : top + _ROWS_AT_ONCE] = sum(parts, shown[0])
     converted /= 255
@@ -194,15 +191,18 @@ def check_picture(picture: Image.Image, file: str) -> None:
 def _in_srgb(picture: Image.Image) -> Image.Image:
     """The picture in sRGB, where it has a color profile (screenshots of a wide-gamut display, printers' CMYK) that can
     be used and makes a difference."""
-    profile = picture.info["icc_profile"]
     keyed = "transparency" in picture.info
     plain = picture.convert("RGBA" if keyed else "RGB") if keyed or picture.mode == "P" else picture
     output = "RGBA" if plain.mode == "RGBA" else "RGB"
-    try:
-        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        converted = ImageCms.profileToProfile(plain, source, _SRGB, outputMode=output)
-    except (ImageCms.PyCMSError, OSError, ValueError):
-        return picture
+    converted = _converted(plain, picture.info["icc_profile"], output)
     if converted is None or np.asarray(ImageChops.difference(converted, plain.convert(output))).max() <= _ROUNDING:
         return picture  # sRGB itself, rounded once more, would lose the steps of a JPEG
     return converted
+
+
+def _converted(picture: Image.Image, profile: bytes, output: str) -> Image.Image | None:
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        return ImageCms.profileToProfile(picture, source, _SRGB, outputMode=output)
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        return None

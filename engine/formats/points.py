@@ -92,8 +92,8 @@ def _textured(data: bytes, header: Header, folder: Path, file: str) -> tuple[Flo
         (corners, ends), (coordinates, at) = faces[index], faces["texcoord"]
         mapped = coordinates == 2 * corners
         at = at[np.repeat(mapped, coordinates)].reshape(-1, 2)
-        number = np.repeat(faces["texnumber"][1] if "texnumber" in of_face else np.zeros(len(corners), int), corners)
-        rows, first = np.unique(ends[kept := np.repeat(mapped, corners)], return_index=True)
+        number = np.repeat(faces["texnumber"][1] if "texnumber" in of_face else np.zeros(len(corners)), corners)
+        rows, first = np.unique(ends[kept := np.repeat(mapped, corners)].astype(np.int64), return_index=True)
         if len(rows) and not 0 <= rows[0] <= rows[-1] < len(records):
             raise FormatError(f"a face names vertex {rows[-1]} of {len(records)}", file=file, element="face")
         at, number = at[first], number[kept][first]

@@ -95,7 +95,7 @@ def test_a_cut_stays_an_error_of_ours(cut: int) -> None:
 
 def test_a_list_that_claims_billions_is_refused() -> None:
     head = HEAD.replace(b"element vertex", FACES.replace(b"uchar int", b"uint int") + b"element vertex")
-    with pytest.raises(FormatError, match="is cut off, or its length is wrong"):
+    with pytest.raises(FormatError, match="is cut off, or the length of a list is wrong"):
         read_model(head + b"end_header\n" + b"\7\xff\xff\xff\xff" + bytes(48) + BODY)
     many = HEAD.replace(b"element vertex", b"element face 20000000\nproperty list uchar int i\nelement vertex")
     with pytest.raises(FormatError, match="20000000 rows with lists of different lengths"):

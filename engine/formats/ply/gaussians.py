@@ -173,7 +173,9 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
 
     harmonics = [name for name in vertex.names if _HARMONICS.fullmatch(name)]
     if harmonics and "f_rest_0" not in vertex.names:
-        message = f"is missing, but {len(harmonics)} properties such as {min(harmonics)!a} look like harmonics: name them"
+        message = (
+            f"is missing, but {len(harmonics)} properties such as {min(harmonics)!a} look like harmonics: name them"
+        )
         message += " f_rest_0 and so on, all of red first, then green, then blue"
         raise FormatError(message, file=file, element="vertex", prop="f_rest_0")
     repairs: list[Repair] = []

@@ -2,7 +2,9 @@
 
 import io
 import struct
+from array import array
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -14,7 +16,7 @@ from engine.errors import FormatError
 from engine.formats.ply.header import Element, Header, Property
 
 _LONGEST, _LONGEST_NAME = 64, 70
-_MOST_ROWS = 1 << 24  # of several lengths: ten seconds
+_MOST_ROWS = 1 << 24  # of different lengths that are passed over: in ten seconds
 
 
 def plain_lists(data: bytes | memoryview, header: Header, last: str) -> Header:
@@ -33,7 +35,7 @@ def plain_lists(data: bytes | memoryview, header: Header, last: str) -> Header:
 
 def _plain(data: bytes | memoryview, header: Header, element: Element, offset: int) -> Element:
     try:
-        first = _first_lengths(data, header, replace(element, count=1), offset)
+        first = [len(values) for values in next(_rows(data, header, element, offset, ""))]
     except FormatError:  # it is reported when its rows are read
         return element
     properties: list[Property] = []
@@ -54,103 +56,77 @@ def _plain(data: bytes | memoryview, header: Header, element: Element, offset: i
     return plain
 
 
-def _first_lengths(data: bytes | memoryview, header: Header, one: Element, offset: int) -> list[int]:
-    """For each property of an element of one row, the number of its values."""
-    order = header.byte_order
-    if not order:
-        names = [e.name for e in header.elements]
-        before = sum(e.count for e in header.elements[: names.index(one.name)])
-        data, order, offset = _packed(data[header.size :], one, before, ""), "<", 0
-    return [length for _, length, _ in _values(data, order, one, offset, "")]
-
-
 def end_of_rows(data: bytes | memoryview, header: Header, element: Element, offset: int, *, file: str) -> int:
-    """Where the rows of an element of a binary file end that begin at the offset; FormatError if they are cut off."""
+    """Where the rows of an element of a binary file end that begin at the offset; FormatError if they are cut off, or
+    too many to be passed over one by one."""
     end = offset + element.count * element.stride
-    for place, length, size in _values(data, header.byte_order, element, offset, file) if element.has_lists else ():
-        end = place + length * size
-    if end > len(data):
-        raise FormatError("its rows are cut off", file=file, element=element.name)
+    if element.has_lists and element.count > _MOST_ROWS:
+        message = f"{element.count} rows with lists of different lengths: export without them"
+        raise FormatError(message, file=file, element=element.name)
+    items = [int(p.item[1]) if p.is_list else 0 for p in element.properties]
+    for row in _rows(data, header, element, offset, file) if element.has_lists else ():
+        end += sum(len(values) * size for values, size in zip(row, items, strict=True))
     return end
 
 
 def read_lists(
     data: bytes | memoryview, header: Header, element: Element, *, file: str
-) -> dict[str, tuple[npt.NDArray[np.int64], npt.NDArray[Any]]]:
-    """Of each property of an element of at least one row: the number of values of each row, and all values.
+) -> dict[str, tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
+    """Of each property of an element: the number of values of each row, and all values.
 
     FormatError if the rows, or others before them, are cut off, or a line of an ASCII file is none.
     """
-    before = header.elements[: header.elements.index(element)]
     offset = header.size
-    if not header.byte_order:
-        data, offset = _packed(data[offset:], element, sum(each.count for each in before), file), 0
-        header, before = replace(header, byte_order="<", size=0, elements=(element,)), ()
-    for each in before:
+    for each in header.elements[: header.elements.index(element)] if header.byte_order else ():
         offset = end_of_rows(data, header, each, offset, file=file)
-    plain = _plain(data, header, element, offset)
-    wide = len(element.properties)
-    if plain.has_lists or offset + element.count * plain.stride > len(data):
-        flat = np.fromiter(_values(data, header.byte_order, element, offset, file), np.dtype((np.int64, 3)))
-    else:  # rows of one length: as the first one
-        one = replace(header, elements=(replace(element, count=1),))
-        first = list(_values(data, header.byte_order, one.elements[0], offset, file))
-        flat = (np.arange(element.count)[:, None, None] * [plain.stride, 0, 0] + np.array(first)).reshape(-1, 3)
-    found = {}
-    for k, prop in enumerate(element.properties):
-        places, lengths, sizes = flat[k::wide].T
-        within = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-        code = np.dtype(header.byte_order + (prop.item or prop.code))
-        # One value at every byte: rows of a file are not aligned.
-        everywhere = np.ndarray((max(len(data) - code.itemsize + 1, 0),), code, data, 0, (1,))
-        found[prop.name] = lengths, everywhere[np.repeat(places, lengths) + within * sizes[0]]
-    return found
+    found = [(array("q"), array("d")) for _ in element.properties]
+    for row in _rows(data, header, element, offset, file):
+        for (lengths, all_values), values in zip(found, row, strict=True):
+            lengths.append(len(values))
+            all_values.extend(values)
+    arrays = [(np.array(lengths, np.int64), np.array(values)) for lengths, values in found]
+    return {prop.name: each for prop, each in zip(element.properties, arrays, strict=True)}
 
 
-def _values(
-    data: bytes | memoryview, order: str, element: Element, offset: int, file: str
-) -> Iterator[tuple[int, int, int]]:
-    """Row after row, and in it property after property: where its values begin, their number, and the bytes of one."""
-    if element.count > _MOST_ROWS:
-        message = f"{element.count} rows with lists of different lengths: export without them"
-        raise FormatError(message, file=file, element=element.name)
+def _rows(
+    data: bytes | memoryview, header: Header, element: Element, offset: int, file: str
+) -> Iterator[list[tuple[Any, ...]]]:
+    """The values of each property, row after row; in a binary file from the offset."""
+    order, number = header.byte_order, 0
+    with suppress(struct.error, ValueError, OverflowError):
+        for row in _binary_rows(data, order, element, offset) if order else _text_rows(data, header, element):
+            yield row
+            number += 1
+    if number < element.count:
+        message = "is cut off, or the length of a list is wrong"
+        raise FormatError(message, file=file, element=element.name, row=number)
+
+
+def _binary_rows(data: bytes | memoryview, order: str, element: Element, at: int) -> Iterator[list[tuple[Any, ...]]]:
     kinds = [
-        (struct.Struct(order + np.dtype(p.code).char) if p.is_list else None, int((p.item or p.code)[1:]))
+        (struct.Struct(order + np.dtype(p.code).char) if p.is_list else None, np.dtype(p.item or p.code))
         for p in element.properties
     ]
-    at = offset
-    try:
-        for _ in range(element.count):
-            for counted, size in kinds:
-                length = 1
-                if counted:
-                    length = int(counted.unpack_from(data, at)[0])
-                    at += counted.size
-                yield at, length, size
-                at += length * size
-                if length < 0 or at > len(data):
-                    raise ValueError
-    except (struct.error, ValueError, OverflowError):
-        message = f"a list at byte {at} is cut off, or its length is wrong"
-        raise FormatError(message, file=file, element=element.name) from None
+    for _ in range(element.count):
+        row = []
+        for counted, kind in kinds:
+            length = 1
+            if counted:
+                (length,) = counted.unpack_from(data, at)
+                at += counted.size
+            row.append(struct.unpack_from(f"{order}{length}{kind.char}", data, at))
+            at += length * kind.itemsize
+        yield row
 
 
-def _packed(body: bytes | memoryview, element: Element, before: int, file: str) -> bytes:
-    """The lines of an element, after so many others, as a binary file has them."""
-    packed, row = bytearray(), 0
-    lines = islice((line for line in io.BytesIO(body) if line.strip()), before, before + element.count)
-    try:
-        for row, line in enumerate(lines):
-            words = line.split()
-            for prop in element.properties:
-                length = 1
-                if prop.is_list:
-                    length = int(words.pop(0))
-                    packed += np.array(length, "<" + prop.code).tobytes()
-                values, words = words[:length], words[length:]
-                packed += np.array(values, "<" + (prop.item or prop.code)).tobytes()
-                if len(values) < length:
-                    raise ValueError
-    except (ValueError, IndexError, OverflowError):
-        raise FormatError("the line is no such row", file=file, element=element.name, row=row) from None
-    return bytes(packed)
+def _text_rows(data: bytes | memoryview, header: Header, element: Element) -> Iterator[list[tuple[Any, ...]]]:
+    before = sum(each.count for each in header.elements[: header.elements.index(element)])
+    lines = (line for line in io.BytesIO(data[header.size :]) if line.strip())
+    for line in islice(lines, before, before + element.count):
+        words, row = iter(line.split()), []
+        for prop in element.properties:
+            length = int(next(words, b"")) if prop.is_list else 1
+            row.append(tuple(map(float, islice(words, length))))
+            if len(row[-1]) < length:
+                raise ValueError
+        yield row
