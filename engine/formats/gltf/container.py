@@ -85,7 +85,7 @@ class Asset:
         """Number of rows that an accessor claims."""
         return _whole(self, self.row("accessors", index), "count", f"accessor {index}")
 
-    def values(self, index: object, widths: int | tuple[int, ...], prop: str) -> npt.NDArray[np.float32]:
+    def values(self, index: object, widths: tuple[int, ...], prop: str) -> npt.NDArray[np.float32]:
         """(N, width) values of an accessor, integers as their component type says (normalised, or as they are).
 
         FormatError where it does not lie in its buffer, which is checked before anything is decoded, or has another
@@ -95,9 +95,9 @@ class Asset:
         if "sparse" in accessor:
             raise UnsupportedFormatError("is sparse", file=self.file, element=element, prop=prop)
         code, kind = accessor.get("componentType"), accessor.get("type")
-        width, allowed = _WIDTHS.get(str(kind)), widths if isinstance(widths, tuple) else (widths,)
-        if not isinstance(code, int) or code not in _CODES or width is None or width not in allowed:
-            wanted = " or ".join(map(str, allowed))
+        width = _WIDTHS.get(str(kind))
+        if not isinstance(code, int) or code not in _CODES or width is None or width not in widths:
+            wanted = " or ".join(map(str, widths))
             raise self.fault(f"is of {kind!r:.20} and {code!r:.20}, expected {wanted} numbers a row", element, prop)
         view = self.row("bufferViews", accessor.get("bufferView"))
         if "extensions" in view:
@@ -117,6 +117,13 @@ class Asset:
         found = table.astype(np.float32)
         if accessor.get("normalized") is True and dtype.kind in "iu":
             found = np.maximum(found / np.float32(np.iinfo(dtype).max), np.float32(-1.0))
+        return found
+
+    def attribute(self, attributes: Mapping[str, Any], name: str, *widths: int) -> npt.NDArray[np.float32]:
+        """(N, width) values of an attribute of a primitive, as many as it has positions; errors as `values`."""
+        found, count = self.values(attributes.get(name), widths, name), self.length(attributes["POSITION"])
+        if len(found) != count:
+            raise self.fault(f"has {len(found)} rows, POSITION {count}", "primitive", name)
         return found
 
     def blob(self, index: object) -> bytes:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.gltf.container import Asset, unpack
@@ -58,13 +57,7 @@ def _corners(
     asset: Asset, primitive: Mapping[str, Any], matrix: Float64, textures: Textures
 ) -> tuple[Float32, Float32]:
     attributes = primitive["attributes"]
-
-    def values(name: str, *widths: int) -> npt.NDArray[np.float32]:
-        found = asset.values(attributes.get(name), widths, name)
-        if len(found) != asset.length(attributes["POSITION"]):
-            raise asset.fault(f"has {len(found)} rows, POSITION another number", "primitive", name)
-        return found
-
+    values = partial(asset.attribute, attributes)
     points = values("POSITION", 3)
     light: Float64 = np.ones((len(points), 3))
     if "COLOR_0" in attributes:

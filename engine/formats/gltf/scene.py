@@ -277,13 +277,9 @@ def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[Gaussia
     count = asset.length(attributes["POSITION"])
 
     def values(name: str, width: int) -> npt.NDArray[np.float32]:
-        semantic = name if name == "POSITION" else f"{EXTENSION}:{name}"
-        found = asset.values(attributes[semantic], width, semantic)
-        if len(found) != count:
-            raise asset.fault(f"has {len(found)} rows, POSITION {count}", "primitive", semantic)
-        return found
+        return asset.attribute(attributes, f"{EXTENSION}:{name}", width)
 
-    means, quats = values("POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
+    means, quats = asset.attribute(attributes, "POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
     scales, opacities = values("SCALE", 3), values("OPACITY", 1)[:, 0].astype(np.float64)
     degree = _degree(asset, primitive)
     sh = np.empty((count, (min(degree, 3) + 1) ** 2, 3), dtype=np.float32)

@@ -44,8 +44,8 @@ def read_tables(
     return tables
 
 
-def _locate(data: bytes | memoryview, header: Header, length: int, last: str, file: str) -> dict[str, int]:
-    """Offset of every element up to the one called `last`, once all bytes are known to be there.
+def _locate(data: bytes | memoryview, header: Header, length: int, until: str, file: str) -> dict[str, int]:
+    """Offset of every element up to the one called `until`, once all bytes are known to be there.
 
     With lists after it, which are skipped, the rest must only be long enough.
     """
@@ -53,7 +53,7 @@ def _locate(data: bytes | memoryview, header: Header, length: int, last: str, fi
     offset, open_end = header.size, False
     for element in header.elements:
         offsets[element.name] = offset
-        open_end = open_end or (element.has_lists and last in offsets)
+        open_end = open_end or (element.has_lists and until in offsets)
         offset += element.count * element.stride
         if element.has_lists and not open_end and offset <= length:
             offset = end_of_rows(data, header, element, offsets[element.name], file=file)

@@ -12,19 +12,9 @@ import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with_mode
+from engine.formats.ply import extras
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, georeferenced, plain_names, plain_types
-from engine.formats.ply.extras import (
-    FILTER,
-    carried_by,
-    carrying,
-    fuse_filter,
-    ignored,
-    lines_of,
-    named,
-    refuse_codebooks,
-    refuse_motion,
-)
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.ply.lists import plain_lists
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
@@ -54,7 +44,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     vertex, used, more, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     _check_order(records, file)
-    repairs = [*renamed, *carrying(header, more), *repairs]
+    repairs = [*renamed, *extras.carrying(header, more), *repairs]
     if any(records[name].any() for name in _NORMALS if name in vertex.names):
         more = [p.name for p in vertex.properties if p.name in (*more, *_NORMALS)]
     colored = any(repair.code == "colors_read" for repair in renamed)
@@ -76,12 +66,12 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
         text = f"2DGS discs: their third scale was set to {DISC_THICKNESS:g} of the smaller one"
         repairs.append(Repair("flat_discs", len(records), text))
     mode = mode_of_comments(header.comments)
-    if FILTER in vertex.names:
-        width = records[FILTER].astype(np.float32)
-        arrays["log_scales"], arrays["opacity_logits"] = fuse_filter(
+    if extras.FILTER in vertex.names:
+        width = records[extras.FILTER].astype(np.float32)
+        arrays["log_scales"], arrays["opacity_logits"] = extras.fuse_filter(
             arrays["log_scales"], arrays["opacity_logits"], width
         )
-        text = f"Mip-Splatting's {FILTER!r} was folded into sizes and opacities, as its own export does"
+        text = f"Mip-Splatting's {extras.FILTER!r} was folded into sizes and opacities, as its own export does"
         repairs.append(Repair("filter_fused", len(records), text))
         mode = mode or ANTIALIASED
     logits = arrays["opacity_logits"]
@@ -89,7 +79,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     repairs += [*moved, *activation_hints(arrays["log_scales"], logits, arrays["sh"][:, 0])]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
     rows = None if model.file_rows is None else model.file_rows.rows
-    model = model.with_(origin=origin, carried=carried_by(header, records, more, rows))
+    model = model.with_(origin=origin, carried=extras.carried_by(header, records, more, rows))
     return with_mode(model, mode), (*repairs, *mended)
 
 
@@ -106,7 +96,7 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     scales = ["scale_0", "scale_1"] if model.is_flat else ["scale_0", "scale_1", "scale_2"]
     names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
     comment = comment_of(model) if not model.is_flat else []  # two scales say it
-    comments, properties = lines_of(model.carried)
+    comments, properties = extras.lines_of(model.carried)
     lines = ["ply", "format binary_little_endian 1.0", *comment, *comments, f"element vertex {len(model)}"]
     more = () if model.carried is None else model.carried.names
     names = [name for name in names if name not in more]  # normals that are carried
@@ -140,13 +130,13 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
 def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[str], list[Repair]]:
     """The vertex element once it is known to hold Gaussians, the properties that are read, those that are none of a
     Gaussian, and what the file holds besides."""
-    refuse_codebooks(header, file=file)
+    extras.refuse_codebooks(header, file=file)
     vertex = header.element("vertex")
     if vertex is None:
         there = ", ".join(repr(e.name) for e in header.elements[:5])
         raise FormatError(f"has no element 'vertex', only {there}", file=file)
     if vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
-        refuse_motion(vertex, file=file)
+        extras.refuse_motion(vertex, file=file)
     if "f_dc_0" not in vertex.names and any(name.startswith(_ANCHORS) for name in vertex.names):
         message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
         raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
@@ -180,14 +170,14 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         raise FormatError(message, file=file, element="vertex", prop="f_rest_0")
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
-    known = {*needed, FILTER, "scale_2", *rotations, *(f"f_rest_{i}" for i in range(rest))}
+    known = {*needed, extras.FILTER, "scale_2", *rotations, *(f"f_rest_{i}" for i in range(rest))}
     used = [p.name for p in vertex.properties if p.name in known]
     extra = [p.name for p in vertex.properties if p.name not in known and p.name not in _NORMALS]
     if rest not in (0, 9, 24, 45):
         repairs.append(degree_dropped(4, vertex.count))
     others = [e.name for e in header.elements if e is not vertex]
     if others:
-        repairs.append(ignored("elements", others))
+        repairs.append(extras.ignored("elements", others))
     return vertex, used, extra, repairs
 
 
@@ -195,7 +185,7 @@ def _unknown(vertex: Element) -> str:
     """What to do with properties that no Gaussian has, if there are some."""
     known = re.compile(r"[xyz]|n[xyz]|opacity|(f_dc|f_rest|scale|rot)_\d+")
     others = [p.name for p in vertex.properties if not known.fullmatch(p.name)]
-    return f"; not known here: {named(others)}: give each the name that INRIA's files have" if others else ""
+    return f"; not known here: {extras.named(others)}: give each the name that INRIA's files have" if others else ""
 
 
 def _check_order(records: npt.NDArray[Any], file: str) -> None:

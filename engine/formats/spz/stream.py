@@ -9,17 +9,7 @@ from engine.errors import InputError
 from engine.formats import modes
 from engine.formats.ply.extras import named
 from engine.formats.repairs import Repair, clean, degree_dropped
-from engine.formats.spz.attributes import (
-    choose_fractional_bits,
-    decode_alphas,
-    decode_colors,
-    decode_first_three,
-    decode_positions,
-    decode_scales,
-    decode_sh,
-    decode_smallest_three,
-    encode_all,
-)
+from engine.formats.spz import attributes
 from engine.formats.spz.container import ANTIALIASED, Header, pack, unpack
 from engine.formats.spz.frames import SPECIFICATION, frame_change, other_extensions
 from engine.model import GaussianModel
@@ -44,13 +34,15 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     if header.version == 1:
         means = np.frombuffer(positions, dtype="<f2").astype(np.float32).reshape(-1, 3)
     else:
-        means = decode_positions(positions, header.fractional_bits)
-    quats = decode_first_three(rotations) if header.version < 3 else decode_smallest_three(rotations)
+        means = attributes.decode_positions(positions, header.fractional_bits)
+    quats = (
+        attributes.decode_first_three(rotations) if header.version < 3 else attributes.decode_smallest_three(rotations)
+    )
     sh = np.empty((header.count, (min(header.sh_degree, 3) + 1) ** 2, 3), dtype=np.float32)
-    sh[:, 0] = decode_colors(colors)
-    decode_sh(rest, sh)
+    sh[:, 0] = attributes.decode_colors(colors)
+    attributes.decode_sh(rest, sh)
     change.apply_signs(means, quats, sh)
-    log_scales, logits = decode_scales(scales), decode_alphas(alphas)
+    log_scales, logits = attributes.decode_scales(scales), attributes.decode_alphas(alphas)
     model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="points")
     if header.sh_degree > 3:
         repairs = (degree_dropped(header.sh_degree, header.count), *repairs)
@@ -71,7 +63,7 @@ def write_spz(model: GaussianModel) -> bytes:
 
     InputError if a centre does not fit into 24 bits.
     """
-    places = choose_fractional_bits(model.means)
+    places = attributes.choose_fractional_bits(model.means)
     reach = float(np.abs(model.means).max(initial=0.0))
     if np.rint(reach * 2.0**places) > (1 << 23) - 1:
         raise InputError(f"a coordinate of {reach:g} does not fit into 24 bits")
@@ -82,4 +74,4 @@ def write_spz(model: GaussianModel) -> bytes:
     signs = change.coefficient_signs(model.sh.shape[1])
     arrays = (means, model.log_scales, quats, model.opacities, model.sh)
     flags = ANTIALIASED if modes.mode_of(model) == modes.ANTIALIASED else 0
-    return pack(Header(3, len(model), model.sh_degree, places, flags), encode_all(arrays, places, signs))
+    return pack(Header(3, len(model), model.sh_degree, places, flags), attributes.encode_all(arrays, places, signs))
