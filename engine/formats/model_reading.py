@@ -62,11 +62,10 @@ def read_model(
         data = read_regular(path, file)
     place = Place(spz_frame, path.parent if name is None else None)
     loaded = _decode(data, file, place)
-    if place.opened:
-        names = {path.name, *(str(part.relative_to(path.parent)) for part in place.opened)}
-        size, digest = weigh_files(path.parent, names)
-        return replace(loaded, source_bytes=size, sha256=digest)
-    return loaded
+    if not place.opened:
+        return loaded
+    size, digest = weigh_files(path.parent, {path.name, *(str(p.relative_to(path.parent)) for p in place.opened)})
+    return replace(loaded, source_bytes=size, sha256=digest)
 
 
 def _decode(data: bytes, file: str, place: Place) -> LoadedModel:

@@ -86,8 +86,7 @@ def _textured(data: bytes, header: Header, folder: Path, file: str) -> tuple[Flo
     rows, number = np.arange(len(records)), np.zeros(len(records), np.int64)
     if pair:
         at = np.stack([records[name] for name in pair], axis=1)
-    else:
-        assert face
+    elif face:
         faces = read_lists(data, header, face, file=file)
         (corners, ends), (coordinates, at) = faces[index], faces["texcoord"]
         mapped = coordinates == 2 * corners

@@ -21,11 +21,11 @@ from engine.formats.model_reading import weigh_files
 from engine.formats.ply.header import MAX_HEADER_BYTES
 from engine.formats.points import read_points
 from engine.formats.repairs import Repair
-from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 from engine.scenes.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
 from engine.scenes.codebook_model import CodebookModel
 from engine.scenes.frame_folders import FrameSequence, frame_files, read_frames, write_frames
+from engine.scenes.rotation_order import order_hint
 from engine.scenes.spacetime import SpacetimeModel
 from engine.scenes.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
 

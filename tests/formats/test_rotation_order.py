@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 
 from engine.cli.app import app
 from engine.formats import encode_model, read_model
-from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.scenes.rotation_order import order_hint
 from engine.scenes.scene_files import read_scene
 from tests.formats.models import random_model
 

@@ -290,14 +290,9 @@ def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[Gaussia
     with np.errstate(divide="ignore", invalid="ignore"):  # 0 and 1 are mended, what lies outside is a fault
         log_scales: Float32 = np.log(scales)
         logits = np.log(opacities) - np.log1p(-opacities)
-    if _is_log(asset, scales):
+    if asset.generator.startswith("splat-transform") and (scales < 0).any():
         log_scales = scales
         text = "sizes were stored as logarithms, as early splat-transform did against the specification"
         repairs += (Repair("scales_logarithmic", count, text),)
     model, mended = clean(means, log_scales, quats, logits, sh, file=asset.file, element="primitive")
     return model, (*repairs, *mended)
-
-
-def _is_log(asset: Asset, scales: Float32) -> bool:
-    """Whether sizes are logarithms: its writer is known to have stored them so, and some are negative."""
-    return asset.generator.startswith("splat-transform") and bool((scales < 0).any())

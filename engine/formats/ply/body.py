@@ -26,11 +26,8 @@ def read_tables(
     bytes in its byte order. FormatError if there is less, or more, than the header announces, a line of an ASCII file
     is not what it should be (with its row and property), or an element wanted has lists.
     """
-    for element in header.elements:
-        listed = next((p for p in element.properties if p.is_list), None)
-        if listed is not None and element.name in wanted:
-            message = "lists of different lengths: export without them"
-            raise FormatError(message, file=file, element=element.name, prop=listed.name)
+    for name, prop in ((e.name, p) for e in header.elements if e.name in wanted for p in e.properties if p.is_list):
+        raise FormatError("lists of different lengths: export without them", file=file, element=name, prop=prop.name)
     if not header.byte_order:
         return _read_ascii(data, header, wanted, file)
     length = header.size + sum(element.count * element.stride for element in header.elements)

@@ -91,8 +91,8 @@ def unpack(data: bytes, *, file: str) -> Payload:
 
 def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
-        inside = magic.to_bytes(4, "little")
-        message = f"is gzip, but no SPZ file (in it: {inside!a} and more): unpack it (gunzip), and give what is in it"
+        inside = f"in it: {magic.to_bytes(4, 'little')!a} and more"
+        message = f"is gzip, but no SPZ file ({inside}): unpack it (gunzip), and give what is in it"
         raise FormatError(message, file=file)
     if header.version not in versions:
         message = f"SPZ version {header.version}, read are 1 to 4: export one of these, or .ply"
