@@ -143,12 +143,12 @@ def test_all_bits_of_a_picture_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_picture(tmp_path / "a.png"), ramp / 2, atol=3e-5)
 
 
-def tiff_with(values: np.ndarray, orientation: int = 1) -> bytes:
+def tiff_with(values: np.ndarray, orientation: int = 1, opacity: int = 2) -> bytes:
     """An uncompressed TIFF of 16 bits a channel of values (H, W, C) from 0 to 1; a fourth one is opacity."""
     height, width, channels = values.shape
     levels = np.rint(values * 65535).astype("<u2").tobytes()
     tags = {256: width, 257: height, 259: 1, 262: 2 if channels > 1 else 1, 274: orientation, 277: channels}
-    tags |= {278: height, 279: len(levels), 284: 1} | ({338: 2} if channels == 4 else {})
+    tags |= {278: height, 279: len(levels), 284: 1} | ({338: opacity} if channels == 4 else {})
     bits_at = 8 + 2 + 12 * (len(tags) + 2) + 4
     tags |= {258: 16 if channels == 1 else bits_at, 273: bits_at + 8}
     entries = b"".join(
@@ -173,6 +173,8 @@ def test_all_bits_of_a_tiff_are_read() -> None:
         np.testing.assert_allclose(read_picture(tiff_with(RAMP, turn)), expected, atol=2e-5)
     clear = np.dstack([RAMP, np.full(RAMP.shape[:2], 0.5)])
     np.testing.assert_allclose(read_picture(tiff_with(clear)), RAMP / 2, atol=3e-5)
+    half = np.dstack([RAMP / 2, np.full(RAMP.shape[:2], 0.5)])  # colors that are multiplied by their opacity already
+    np.testing.assert_allclose(read_picture(tiff_with(half, opacity=1)), RAMP / 2, atol=2 / 255)
     np.testing.assert_allclose(read_picture(tiff_with(RAMP[..., :1]))[..., 2], RAMP[..., 0], atol=2e-5)
 
 

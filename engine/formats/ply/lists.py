@@ -16,7 +16,7 @@ from engine.errors import FormatError
 from engine.formats.ply.header import Element, Header, Property
 
 _LONGEST, _LONGEST_NAME = 64, 70
-_MOST_ROWS = 1 << 24  # of different lengths that are passed over: in ten seconds
+_MOST_ROWS = 1 << 23  # of different lengths that are passed over: in ten seconds
 
 
 def plain_lists(data: bytes | memoryview, header: Header, last: str) -> Header:
