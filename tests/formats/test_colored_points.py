@@ -340,12 +340,12 @@ def test_the_texture_of_a_ply_gives_its_corners_colors(faces: str, kind: str, tm
 def test_faces_of_a_textured_ply_may_have_any_number_of_corners(
     corners: list[list[int]], kind: str, tmp_path: Path
 ) -> None:
-    """Quads, as Blender and Instant Meshes leave them, alone or among triangles; the last face has no coordinates."""
+    """Quads, as Blender and Instant Meshes leave them, alone or among triangles; the first face has no coordinates."""
     path = ply_mesh(tmp_path, NAMED, NUMBERED, kind=kind)
     head, body = path.read_bytes().split(b"end_header\n")
     vertices = body[: 6 * 12] if kind != "ascii" else b"\n".join(body.split(b"\n")[:6]) + b"\n"
     faces = b""
-    for corner in [*corners, [1, 0, 5]]:
+    for corner in [[1, 0, 5], *corners]:
         uv = [value for c in corner for value in ((c + 0.5) / 6, 0.3)] if corner != [1, 0, 5] else []
         row = [len(corner), *corner, len(uv), *uv, 0]
         packed = struct.pack(f"<B{len(corner)}iB{len(uv)}fi", *row)
@@ -355,9 +355,11 @@ def test_faces_of_a_textured_ply_may_have_any_number_of_corners(
     loaded = read_suspect(path)
     np.testing.assert_allclose(loaded.model.means, PLACES, atol=1e-6)
     np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
-    path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(FormatError):
-        read_suspect(path)
+    whole = path.read_bytes()
+    for cut in (2, 9):
+        path.write_bytes(whole[:-cut])
+        with pytest.raises(FormatError):
+            read_suspect(path)
 
 
 @pytest.mark.parametrize("names", ["st", "uv"])

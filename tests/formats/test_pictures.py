@@ -187,7 +187,9 @@ def test_all_bits_of_a_picture_with_a_profile_are_read() -> None:
     for channel in range(3):
         assert len(np.unique(read[0, :, channel])) > 32  # 8 bits have 4
     same = zlib.compress(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
-    np.testing.assert_allclose(read_picture(png_with(RAMP, (b"iCCP", b"x\0\0" + same))), RAMP, atol=2e-5)
+    near = zlib.compress(profiled(r=(0.4500, 0.2225, 0.0139), g=(0.3851, 0.7169, 0.0971), b=(0.1431, 0.0606, 0.7141)))
+    for profile in (same, near):
+        np.testing.assert_allclose(read_picture(png_with(RAMP, (b"iCCP", b"x\0\0" + profile))), RAMP, atol=2e-5)
 
 
 def test_all_bits_of_a_picture_with_a_transparent_color_are_read() -> None:
