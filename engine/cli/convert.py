@@ -110,11 +110,11 @@ def convert(
         "bytes_out": bytes_out,
         "gaussians": counts[0],
         "levels": counts,
-        "repairs": [asdict(repair) for repair in loaded.repairs],
+        "repairs": [asdict(repair) for repair in loaded.noticed],
         "notes": notes,
         "seconds": time.perf_counter() - began,
     }
-    console.note_repairs(loaded.repairs)
+    console.note_repairs(loaded.noticed)
     console.say(
         f"{model} ({loaded.format}) -> {out} ({kind}): {' + '.join(f'{count:,}' for count in counts)} Gaussians,"
         f" {loaded.source_bytes:,} -> {bytes_out:,} bytes"

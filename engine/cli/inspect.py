@@ -118,7 +118,7 @@ def describe_model(loaded: Loaded) -> Values:
         "is_room": extent.is_room,
         "opacity_median": float(np.median(model.opacities)),
         "scale_median": float(np.exp(np.median(model.log_scales))),
-        "repairs": [asdict(repair) for repair in loaded.repairs],
+        "repairs": [asdict(repair) for repair in loaded.noticed],
     }
 
 

@@ -1,9 +1,10 @@
 """What a model format declares: how its files are recognized, read and written, and what they cannot hold."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -35,12 +36,21 @@ class Range:
 
 
 @dataclass(frozen=True)
+class Place:
+    """What counts besides the content of a file."""
+
+    spz_frame: str = "auto"  # axes of an SPZ file
+    folder: Path | None = None  # whose files it may name
+    opened: list[Path] = field(default_factory=list)  # of these, those that were read
+
+
+@dataclass(frozen=True)
 class Kind:
     """One format; its name is also the ending of its files. `file` is what messages call the file."""
 
     name: str
     told_by: Callable[[bytes, str], bool]  # (content, file) -> whether this is one
-    read: Callable[[bytes, str, str], Read]  # (content, file, axes of an SPZ file) -> model and repairs
+    read: Callable[[bytes, str, Place], Read]
     # model of at least one Gaussian -> pieces of the file; None for a format that is only read
     write: Callable[[GaussianModel], Iterable[bytes]] | None = None
     guessed: bool = False  # without a magic: recognized after all formats that have one

@@ -58,8 +58,9 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
         notes += _dropped(model.carried, kind)
     if any(model.origin) and "origin" not in kind.holds:
         x, y, z = model.origin
+        step = np.spacing(np.float32(np.abs(model.means.astype(np.float64) + model.origin).max()))
         notes.append(
-            f".{format} rounds centers in map coordinates (float32 by up to {_coarse(model):.2g}): they were written"
+            f".{format} rounds centers in map coordinates (float32 by up to {step / 2:.2g}): they were written"
             f" relative to ({x:.0f}, {y:.0f}, {z:.0f}), which is not in the file; .ply keeps it"
         )
     unheld = unheld_rows(model, kind)
@@ -85,12 +86,6 @@ def _dropped(carried: Carried, kind: Kind) -> list[str]:
     ]
     found = " and ".join(parts)
     return [f".{kind.name} has no place for what is no Gaussian's: {found} dropped; .ply keeps it"] if found else []
-
-
-def _coarse(model: GaussianModel) -> float:
-    """By how much float32 rounds the farthest absolute center, scene units."""
-    farthest = np.abs(model.means.astype(np.float64) + model.origin).max()
-    return float(np.spacing(np.float32(farthest)) / 2)
 
 
 def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:

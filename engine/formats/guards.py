@@ -74,5 +74,5 @@ def beside(folder: Path, name: str, file: str) -> Path:
     for path in (folder.joinpath(*parts), folder / parts[-1] if parts else folder):
         if "\0" not in name and path.is_file() and path.resolve().is_relative_to(folder.resolve()):
             return path
-    message = f"names {name[:80]!a}, which is not beside it: give its materials and textures together with it"
+    message = f"names {name[:80]!a}, which is not beside it: give the files that it names together with it"
     raise FormatError(message, file=file)

@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from PIL import ExifTags, Image, ImageChops, ImageCms, ImageFile, UnidentifiedImageError
 
 from engine.errors import FormatError, InputError
@@ -23,6 +24,7 @@ _DNG_VERSION, _BITS, _PLANES, _SEPARATE = 50706, 258, 284, 2  # tags, and a valu
 _SRGB = ImageCms.createProfile("sRGB")
 _ROUNDING = 2  # levels of 255
 _MAX_HEAD = 1 << 16  # bytes
+_ROWS_AT_ONCE = 256
 _AV1 = re.compile(rb"av1C\x81.(.)", re.DOTALL)  # AVIF's bits a channel: AV1-ISOBMFF, 2.3.3
 
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
@@ -58,8 +60,10 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
             picture.load()
             turn = picture.getexif().get(ExifTags.Base.Orientation, 1) - 1
             profiled = managed and coding is None and "icc_profile" in picture.info
-            values = None if profiled or "transparency" in picture.info else _deep_values(head, source)
-            if values is None:
+            if deep := _deep(head, picture, source):
+                values = _deep_in_srgb(deep[0], picture.info["icc_profile"]) if profiled else deep[0]
+                values = np.broadcast_to(values if deep[1] is None else values * deep[1], (*values.shape[:2], 3))
+            else:
                 values = _values(_in_srgb(picture) if profiled else picture, layers=picture.format != "BMP")
     except FormatError:
         raise
@@ -88,23 +92,66 @@ def _head(picture: ImageFile.ImageFile) -> bytes:
     return head
 
 
-def _deep_values(head: bytes, source: Path | bytes) -> Float32 | None:
-    """(H, W, 3) from 0 to 1, over black, of a PNG or an AVIF in color of more than 8 bits, which are all that Pillow
-    keeps; None of any other picture."""
-    bits = head[24] if head.startswith(b"\x89PNG") and head[25] else 0
-    if av1 := _AV1.search(head):
-        bits = 12 if av1[1][0] & 0x20 else 10 if av1[1][0] & 0x40 else 8
-    if bits <= 8:
+def _deep(head: bytes, picture: Image.Image, source: Path | bytes) -> tuple[Float32, Float32 | None] | None:
+    """Colors (H, W, 1 or 3) and opacities (H, W, 1), from 0 to 1, of a picture of more than 8 bits, which are all that
+    Pillow keeps of colors; None of any other picture."""
+    if (bits := _bits(head, picture)) <= 8:
         return None
+    gray = picture.mode.startswith("I")
+    found = np.clip(np.asarray(picture), 0, 65535)[..., None] if gray else _decoded(picture, source)
+    if found is None:
+        return None
+    values = found.astype(np.float32) / np.float32(2**bits - 1)
+    key = picture.info.get("transparency")
+    if values.shape[2] < 4 and key is not None:
+        return values, (found != key).any(axis=2, keepdims=True).astype(np.float32)
+    return values[..., :3], values[..., 3:] if values.shape[2] == 4 else None
+
+
+def _bits(head: bytes, picture: Image.Image) -> int:
+    """Of a channel."""
+    if picture.mode.startswith("I"):
+        return 16
+    if av1 := _AV1.search(head):
+        return 12 if av1[1][0] & 0x20 else 10 if av1[1][0] & 0x40 else 8
+    return head[24] if head.startswith(_MAGICS[0]) else max(getattr(picture, "tag_v2", {}).get(_BITS, (8,)))
+
+
+def _decoded(picture: Image.Image, source: Path | bytes) -> npt.NDArray[np.uint16] | None:
+    """(H, W, 1, 3 or 4) levels by OpenCV; None where it reads other ones than Pillow."""
     import cv2  # a heavy import that few pictures need
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # unknown tags are none
     data = source if isinstance(source, bytes) else source.read_bytes()
-    levels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if levels is None or levels.dtype != np.uint16:
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if found is None or found.dtype != np.uint16:
         return None
-    values = np.atleast_3d(levels).astype(np.float32) / np.float32(2**bits - 1)
-    colors = values[..., 2::-1] * values[..., 3:] if values.shape[2] == 4 else values[..., 2::-1]
-    return np.broadcast_to(colors, (*colors.shape[:2], 3))
+    levels = np.atleast_3d(found)[..., [2, 1, 0, 3][: 1 if found.ndim < 3 else found.shape[2]]]
+    if picture.format == "TIFF":
+        width = 4 if "A" in picture.getbands() else 3
+        levels, shallow = levels[..., :width], np.asarray(picture)[..., :width]
+        if levels.shape != shallow.shape or np.abs((levels >> 8).astype(np.int16) - shallow).max() > 1:
+            return None
+    return np.asarray(levels)
+
+
+def _deep_in_srgb(colors: Float32, profile: bytes) -> Float32:
+    """Colors (H, W, 1 or 3) in sRGB, interpolated between those of the levels of 8 bits around, which Pillow converts;
+    as they are where that makes no difference."""
+    channels, converted = colors.shape[2], np.empty((*colors.shape[:2], 3), np.float32)
+    for top in range(0, len(colors), _ROWS_AT_ONCE):
+        block = colors[top : top + _ROWS_AT_ONCE] * 255
+        below = np.minimum(block, 254).astype(np.uint8)
+        shown = []
+        for step in (np.zeros(channels, np.uint8), *np.eye(channels, dtype=np.uint8)):
+            image = Image.fromarray((below + step).reshape(below.shape[: 2 + (channels > 1)]))
+            if (seen := _converted(image, profile, "RGB")) is None:
+                return colors
+            shown.append(np.asarray(seen, np.float32))
+        parts = ((block - below)[..., [c]] * (shown[1 + c] - shown[0]) for c in range(channels))
+        converted[top : top + _ROWS_AT_ONCE] = sum(parts, shown[0])
+    converted /= 255
+    return converted if np.abs(converted - colors).max() * 255 > _ROUNDING else colors
 
 
 def _upright(values: Float32, turn: int) -> Float32:
@@ -115,9 +162,6 @@ def _upright(values: Float32, turn: int) -> Float32:
 
 def _values(picture: Image.Image, *, layers: bool) -> Float32:
     """(H, W, 3) from 0 to 1; what should be the transparency of a BMP is often 0 everywhere: viewers leave it out."""
-    if picture.mode.startswith("I;16") or picture.mode == "I":  # 16-bit grey
-        gray = np.asarray(picture, dtype=np.float32) / np.float32(65535.0)
-        return np.ascontiguousarray(np.repeat(np.clip(gray, 0.0, 1.0)[:, :, None], 3, axis=2))
     if layers and ("A" in picture.getbands() or "transparency" in picture.info):
         layered = picture.convert("RGBA")
         picture = Image.new("RGBA", layered.size, (0, 0, 0, 255))
@@ -147,15 +191,18 @@ def check_picture(picture: Image.Image, file: str) -> None:
 def _in_srgb(picture: Image.Image) -> Image.Image:
     """The picture in sRGB, where it has a color profile (screenshots of a wide-gamut display, printers' CMYK) that can
     be used and makes a difference."""
-    profile = picture.info["icc_profile"]
     keyed = "transparency" in picture.info
     plain = picture.convert("RGBA" if keyed else "RGB") if keyed or picture.mode == "P" else picture
     output = "RGBA" if plain.mode == "RGBA" else "RGB"
-    try:
-        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        converted = ImageCms.profileToProfile(plain, source, _SRGB, outputMode=output)
-    except (ImageCms.PyCMSError, OSError, ValueError):
-        return picture
+    converted = _converted(plain, picture.info["icc_profile"], output)
     if converted is None or np.asarray(ImageChops.difference(converted, plain.convert(output))).max() <= _ROUNDING:
         return picture  # sRGB itself, rounded once more, would lose the steps of a JPEG
     return converted
+
+
+def _converted(picture: Image.Image, profile: bytes, output: str) -> Image.Image | None:
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        return ImageCms.profileToProfile(picture, source, _SRGB, outputMode=output)
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        return None

@@ -4,22 +4,20 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.declaration import Kind, Read
+from engine.formats.declaration import Kind, Place, Read
 from engine.formats.guards import opening, read_regular
 from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
 from engine.formats.known_formats import KINDS, READ
 from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
-from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
 _MODELS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
-_WRITTEN_BY_HAND = ("ply", "glb")  # by scripts of many, which mistake the order of a quaternion
 
 
 @dataclass(frozen=True)
@@ -29,10 +27,10 @@ class LoadedModel:
     model: GaussianModel
     format: str  # one of `READ`
     repairs: tuple[Repair, ...]  # harmless faults that were mended or ignored
-    source_bytes: int  # of the file, or of all files of a folder
+    source_bytes: int  # of the file and those that it names, or of all files of a folder
     sha256: str
-    """Of the file, hexadecimal. Of a folder: of the list of its files' own SHA-256, sorted by name, a line
-    ``<sha256>  <name>`` each, as ``sha256sum`` prints them."""
+    """Of the file, hexadecimal. Of a folder, or a file that names others: of the list of these files' own SHA-256,
+    sorted by name, a line ``<sha256>  <name>`` each, as ``sha256sum`` prints them."""
 
 
 def read_model(
@@ -44,7 +42,8 @@ def read_model(
     """Read a Gaussian model of any format in `READ`: a file, the folder of an unpacked or streamed SOG scene (or
     its ``meta.json`` or ``lod-meta.json``), or the content of a file.
 
-    `name` is what to call the input in messages, by default its path; it is never opened. `spz_frame` are the axes of
+    `name` is what to call the input in messages, by default its path; it is never opened, and where it is given, files
+    that the input names (buffers of a .gltf) are not either. `spz_frame` are the axes of
     an SPZ file, which often does not say: "spec" and "ply" overrule "auto", see `read_spz`.
 
     FormatError if the file cannot be read, naming file, element, row and property; UnsupportedFormatError if it is of
@@ -52,7 +51,7 @@ def read_model(
     may not be opened.
     """
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
-        return _decode(bytes(path_or_bytes), name or "(bytes)", spz_frame)
+        return _decode(bytes(path_or_bytes), name or "(bytes)", Place(spz_frame))
     path = Path(path_or_bytes)
     file = name or str(path)
     with opening(path, file):
@@ -61,31 +60,35 @@ def read_model(
         if path.is_dir():
             return _read_folder(path, file)
         data = read_regular(path, file)
-    return _decode(data, file, spz_frame)
+    place = Place(spz_frame, path.parent if name is None else None)
+    loaded = _decode(data, file, place)
+    if not place.opened:
+        return loaded
+    size, digest = weigh_files(path.parent, {path.name, *(str(p.relative_to(path.parent)) for p in place.opened)})
+    return replace(loaded, source_bytes=size, sha256=digest)
 
 
-def _decode(data: bytes, file: str, spz_frame: str) -> LoadedModel:
+def _decode(data: bytes, file: str, place: Place) -> LoadedModel:
     try:
-        kind, (model, repairs) = _read(data, file, spz_frame)
+        kind, (model, repairs) = _read(data, file, place)
     except MemoryError:
         raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
-    hints = order_hint(model) if kind.name in _WRITTEN_BY_HAND else ()
-    return LoadedModel(model, kind.name, (*repairs, *hints), len(data), hashlib.sha256(data).hexdigest())
+    return LoadedModel(model, kind.name, repairs, len(data), hashlib.sha256(data).hexdigest())
 
 
-def _read(data: bytes, file: str, spz_frame: str) -> tuple[Kind, Read]:
+def _read(data: bytes, file: str, place: Place) -> tuple[Kind, Read]:
     """The kind by its first bytes. A .splat may begin with those of another kind, by chance or to evade a check: it is
     recognized by its rows (in other files of real scenes up to 13 % look like rows of a .splat; half are needed)."""
     splat = looks_like_splat(data)
     try:
         kind = _told(data, file)
-        read = kind.read(data, file, spz_frame)
+        read = kind.read(data, file, place)
     except FormatError:
         if not splat and (changed := changed_as_text(data)):
             raise FormatError(changed, file=file) from None
         if not splat:
             raise
-        return SPLAT, SPLAT.read(data, file, spz_frame)
+        return SPLAT, SPLAT.read(data, file, place)
     if splat and kind is not SPLAT:
         raise FormatError(
             f"holds two models at once, a .{kind.name} and a .splat: keep the one that is meant", file=file
@@ -100,7 +103,7 @@ def _told(data: bytes, file: str) -> Kind:
     if not data:
         raise FormatError("is empty", file=file)
     if looks_like_splat(data[: len(data) // RECORD.itemsize * RECORD.itemsize]):
-        SPLAT.read(data, file, "")  # says that it is cut off
+        SPLAT.read(data, file, Place())  # says that it is cut off
     none = f"is none of the formats read here: {', '.join(READ)}"
     raise UnsupportedFormatError(advice_for(data, file) or none, file=file)
 

@@ -10,7 +10,7 @@ from engine.formats.guards import beside
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import COLORS, dc_of_colors
 from engine.formats.ply.header import Header, parse_header
-from engine.formats.ply.lists import plain_lists
+from engine.formats.ply.lists import plain_lists, read_lists
 from engine.formats.repairs import Repair, clean
 from engine.formats.textures import Textures
 from engine.model import Float32, GaussianModel
@@ -76,25 +76,26 @@ def _textured(data: bytes, header: Header, folder: Path, file: str) -> tuple[Flo
     its faces as MeshLab writes them, of which the first with a vertex counts. They go up; vertices without are left
     out."""
     names = [text.split(None, 1)[1] for text in header.comments if text.lower().startswith("texturefile ")]
-    header = plain_lists(data, header, "face")
     vertex, face = header.element("vertex"), header.element("face")
-    of_vertex, of_face = vertex.names if vertex else set(), face.names if face and not face.has_lists else set()
+    of_vertex, of_face = vertex.names if vertex else set(), {p.name for p in face.properties} if face else set()
     pair = next((pair for pair in _COORDINATES if set(pair) <= of_vertex), None)
-    index = next((n for n in _INDICES if f"{n}[2]" in of_face and f"{n}[3]" not in of_face), "")
-    if not names or not (pair or (index and "texcoord[5]" in of_face)):
+    index = next((n for n in _INDICES if n in of_face), "")
+    if not names or not (pair or (face and face.count and index and "texcoord" in of_face)):
         return None
-    tables = read_tables(data, header, ["vertex"] if pair else ["vertex", "face"], file=file)
-    records = tables["vertex"]
+    records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     rows, number = np.arange(len(records)), np.zeros(len(records), np.int64)
     if pair:
         at = np.stack([records[name] for name in pair], axis=1)
-    else:
-        faces = tables["face"]
-        rows, first = np.unique(np.stack([faces[f"{index}[{k}]"] for k in range(3)], axis=1), return_index=True)
+    elif face:
+        faces = read_lists(data, header, face, file=file)
+        (corners, ends), (coordinates, at) = faces[index], faces["texcoord"]
+        mapped = coordinates == 2 * corners
+        at = at[np.repeat(mapped, coordinates)].reshape(-1, 2)
+        number = np.repeat(faces["texnumber"][1] if "texnumber" in of_face else np.zeros(len(corners)), corners)
+        rows, first = np.unique(ends[kept := np.repeat(mapped, corners)].astype(np.int64), return_index=True)
         if len(rows) and not 0 <= rows[0] <= rows[-1] < len(records):
             raise FormatError(f"a face names vertex {rows[-1]} of {len(records)}", file=file, element="face")
-        at = np.stack([faces[f"texcoord[{k}]"] for k in range(6)], axis=1).reshape(-1, 2)[first]
-        number = faces["texnumber"][first // 3] if "texnumber" in of_face else number[rows]
+        at, number = at[first], number[kept][first]
     textures, rgb = Textures(file), np.full((len(rows), 3), np.nan, np.float32)
     for k in set(number.tolist()) & set(range(len(names))):
         here = number == k

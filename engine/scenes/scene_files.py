@@ -25,6 +25,7 @@ from engine.model import GaussianModel
 from engine.scenes.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
 from engine.scenes.codebook_model import CodebookModel
 from engine.scenes.frame_folders import FrameSequence, frame_files, read_frames, write_frames
+from engine.scenes.rotation_order import order_hint
 from engine.scenes.spacetime import SpacetimeModel
 from engine.scenes.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
 
@@ -56,6 +57,7 @@ POINTS = "points"
 FOLDERS = (FRAMES, CODEBOOK)
 CLIPS = (SPACETIME, FRAMES)
 
+_WRITTEN_BY_HAND = ("ply", "glb")  # by scripts of many, which mistake the order of a quaternion
 DEFORMATION = "deformation.pth"
 """The network of a 4DGS scene (Wu et al., CVPR 2024), in the folder of the Gaussians that it moves."""
 
@@ -76,6 +78,11 @@ class Loaded:
         if isinstance(self.scene, SpacetimeModel | FrameSequence):
             return self.scene.canonical()
         return self.scene.decode() if isinstance(self.scene, CodebookModel) else self.scene
+
+    @cached_property
+    def noticed(self) -> tuple[Repair, ...]:
+        """The repairs, and a hint that concerns only those who publish the model."""
+        return (*self.repairs, *(order_hint(self.model) if self.format in _WRITTEN_BY_HAND else ()))
 
 
 def folder_kind(path: str | os.PathLike[str]) -> str | None:

@@ -151,7 +151,7 @@ def mark(
             format_in=loaded.format,
             format_out=kind,
             profile=request.profile,
-            repairs=loaded.repairs,
+            repairs=loaded.noticed,
             psnr_as_written=as_written,
             notes=[*settings_note(terms, made), *notes_of(scene, kind), *left_out_note(revealed)],
             seconds=ended - began,

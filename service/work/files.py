@@ -18,7 +18,7 @@ def inspect(request: Request, folder: Path, progress: Progress) -> Reply:
         "bytes": loaded.source_bytes,
         "gaussians": len(loaded.model),
         "sh_degree": loaded.model.sh_degree,
-        "repairs": [asdict(repair) for repair in loaded.repairs],
+        "repairs": [asdict(repair) for repair in loaded.noticed],
     }
 
 

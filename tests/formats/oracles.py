@@ -22,6 +22,7 @@ from engine.model import GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.sog_scenes import pixels_of
+from tests.formats.spz_scenes import as_version_4
 
 PROGRAM = "splat-transform"
 Files = dict[str, bytes]
@@ -58,7 +59,7 @@ class Difference:
 def ours(model: GaussianModel, kind: str) -> bytes:
     """What this project writes."""
     if kind.startswith("spz"):
-        return write_spz(model, version=int(kind[3:]))
+        return as_version_4(write_spz(model)) if kind == "spz4" else write_spz(model)
     return encode_model(model, kind)
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gzip
 import struct
+import zlib
 
 import numpy as np
 
+from engine.formats import zstd
 from engine.model import GaussianModel
 
 STRIDES = {1: (6, 1, 3, 3, 3), 2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}
@@ -40,6 +42,21 @@ def gzipped(version: int, n: int, degree: int, sections: list[bytes], tail: byte
 
 def plain(version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0) -> bytes:
     return head(version, n, degree, flags=flags) + b"".join(sections) + tail
+
+
+def as_version_4(data: bytes) -> bytes:
+    """A file of version 3 in the container of version 4, which declares the specification's axes."""
+    body = zlib.decompress(data, 31)
+    magic, _, n, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", body)
+    streams, at = [], 16
+    for stride in (*STRIDES[3], 3 * ((degree + 1) ** 2 - 1)):
+        streams += [body[at : at + stride * n]] if stride else []
+        at += stride * n
+    extension = frame_record(4)
+    packed = [zstd.compress(each, 7) for each in streams]
+    header = struct.pack("<IIIBBBBI12x", magic, 4, n, degree, bits, flags | 2, len(streams), 32 + len(extension))
+    entries = [struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, streams, strict=True)]
+    return b"".join([header, extension, *entries, *packed])
 
 
 def record(kind: int, payload: bytes) -> bytes:

@@ -335,6 +335,33 @@ def test_the_texture_of_a_ply_gives_its_corners_colors(faces: str, kind: str, tm
     np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
 
 
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("corners", [[[0, 1, 2, 3], [3, 4, 5, 2]], [[0, 1, 2, 3, 4], [2, 4, 5], [1, 2]]])
+def test_faces_of_a_textured_ply_may_have_any_number_of_corners(
+    corners: list[list[int]], kind: str, tmp_path: Path
+) -> None:
+    """Quads, as Blender and Instant Meshes leave them, alone or among triangles; the first face has no coordinates."""
+    path = ply_mesh(tmp_path, NAMED, NUMBERED, kind=kind)
+    head, body = path.read_bytes().split(b"end_header\n")
+    vertices = body[: 6 * 12] if kind != "ascii" else b"\n".join(body.split(b"\n")[:6]) + b"\n"
+    faces = b""
+    for corner in [[1, 0, 5], *corners]:
+        uv = [value for c in corner for value in ((c + 0.5) / 6, 0.3)] if corner != [1, 0, 5] else []
+        row = [len(corner), *corner, len(uv), *uv, 0]
+        packed = struct.pack(f"<B{len(corner)}iB{len(uv)}fi", *row)
+        faces += (" ".join(map(str, row)) + "\n").encode() if kind == "ascii" else packed
+    head = head.replace(b"element face 3", b"element face %d" % (len(corners) + 1))
+    path.write_bytes(head + b"end_header\n" + vertices + faces)
+    loaded = read_suspect(path)
+    np.testing.assert_allclose(loaded.model.means, PLACES, atol=1e-6)
+    np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)
+    whole = path.read_bytes()
+    for cut in (2, 9):
+        path.write_bytes(whole[:-cut])
+        with pytest.raises(FormatError):
+            read_suspect(path)
+
+
 @pytest.mark.parametrize("names", ["st", "uv"])
 def test_a_ply_may_have_its_coordinates_at_its_vertices(names: str, tmp_path: Path) -> None:
     vertex = "".join(f"property float {n}\n" for n in names)

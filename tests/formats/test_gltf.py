@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,32 @@ def test_text_with_its_buffer_inside_is_the_same() -> None:
     away = json.dumps(parsed | {"buffers": [{"byteLength": len(binary), "uri": "scene.bin"}]}).encode()
     with pytest.raises(UnsupportedFormatError, match=r"another file \('scene\.bin'\)"):
         read_model(away)
+
+
+def test_the_buffers_of_a_gltf_may_lie_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A glTF as most programs export it; one that comes over the network opens no file."""
+    parsed, binary = asset_of(splats(200, 1), splats(100, 1, 1))
+    whole = read_model(glb_of(parsed, binary))
+    (tmp_path / "my scene").mkdir()
+    (tmp_path / "my scene" / "büffer.bin").write_bytes(binary)
+    parsed["buffers"][0]["uri"] = "my%20scene/b%C3%BCffer.bin"
+    path = tmp_path / "scene.gltf"
+    path.write_text(json.dumps(parsed))
+    loaded = read_model(path)
+    assert_same(loaded.model, whole.model)
+    assert (loaded.format, loaded.repairs) == ("glb", ())
+    assert loaded.source_bytes == path.stat().st_size + len(binary)
+    with monkeypatch.context() as patch:  # what may be allocated follows from all bytes, not from those of the JSON
+        patch.setattr("engine.formats.guards.FREE_COUNT", 0)
+        patch.setattr("engine.formats.guards.GAUSSIANS_PER_BYTE", 250 / path.stat().st_size)
+        assert len(read_model(path).model) == 300
+    (tmp_path / "my scene" / "büffer.bin").write_bytes(binary[:-4] + bytes(4))
+    assert read_model(path).sha256 != loaded.sha256
+    with pytest.raises(UnsupportedFormatError, match=r"in another file .*\.bin'\): give the scene as one file, \.glb"):
+        read_model(path, name="upload.gltf")
+    (tmp_path / "my scene" / "büffer.bin").unlink()
+    with pytest.raises(FormatError, match="not beside it"):
+        read_model(path)
 
 
 def test_degree_four_is_read_to_degree_three() -> None:

@@ -13,7 +13,7 @@ from PIL import Image, ImageCms, features
 
 from engine.errors import FormatError
 from engine.formats import image_files as pictures
-from engine.formats.color_coding import coding_of
+from engine.formats.color_coding import _PRIMARIES, Coding, coding_of
 from engine.formats.image_files import is_picture, read_picture
 
 
@@ -141,6 +141,66 @@ def test_all_bits_of_a_picture_are_read(tmp_path: Path) -> None:
     levels = np.rint(np.dstack([ramp[..., ::-1], np.full(ramp.shape[:2], 0.5)]) * 65535).astype(np.uint16)
     (tmp_path / "a.png").write_bytes(cv2.imencode(".png", levels)[1])
     np.testing.assert_allclose(read_picture(tmp_path / "a.png"), ramp / 2, atol=3e-5)
+
+
+def tiff_with(values: np.ndarray, orientation: int = 1, opacity: int = 2) -> bytes:
+    """An uncompressed TIFF of 16 bits a channel of values (H, W, C) from 0 to 1; a fourth one is opacity."""
+    height, width, channels = values.shape
+    levels = np.rint(values * 65535).astype("<u2").tobytes()
+    tags = {256: width, 257: height, 259: 1, 262: 2 if channels > 1 else 1, 274: orientation, 277: channels}
+    tags |= {278: height, 279: len(levels), 284: 1} | ({338: opacity} if channels == 4 else {})
+    bits_at = 8 + 2 + 12 * (len(tags) + 2) + 4
+    tags |= {258: 16 if channels == 1 else bits_at, 273: bits_at + 8}
+    entries = b"".join(
+        struct.pack("<HHII", tag, 3 if tag == 258 else 4, channels if tag == 258 else 1, tags[tag])
+        for tag in sorted(tags)
+    )
+    return (
+        b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + entries + bytes(4) + struct.pack("<4H", *[16] * 4) + levels
+    )
+
+
+RAMP = np.linspace(0.25, 0.26, 64)[None, :, None] + np.array([0, 0.1, 0.2])  # 2.5 steps of 8 bits
+
+
+def test_all_bits_of_a_tiff_are_read() -> None:
+    for turn, expected in (
+        (1, RAMP),
+        (6, np.rot90(RAMP, -1)),
+        (5, RAMP.swapaxes(0, 1)),
+        (7, RAMP[::-1, ::-1].swapaxes(0, 1)),
+    ):
+        np.testing.assert_allclose(read_picture(tiff_with(RAMP, turn)), expected, atol=2e-5)
+    clear = np.dstack([RAMP, np.full(RAMP.shape[:2], 0.5)])
+    np.testing.assert_allclose(read_picture(tiff_with(clear)), RAMP / 2, atol=3e-5)
+    half = np.dstack([RAMP / 2, np.full(RAMP.shape[:2], 0.5)])  # colors that are multiplied by their opacity already
+    np.testing.assert_allclose(read_picture(tiff_with(half, opacity=1)), RAMP / 2, atol=2 / 255)
+    np.testing.assert_allclose(read_picture(tiff_with(RAMP[..., :1]))[..., 2], RAMP[..., 0], atol=2e-5)
+
+
+def test_all_bits_of_a_picture_with_a_profile_are_read() -> None:
+    """By the primaries of Display P3, in closed form; sRGB's own profile changes nothing."""
+    packed = zlib.compress(P3)
+    read = read_picture(png_with(RAMP, (b"iCCP", b"x\0\0" + packed)))
+    wanted = Coding(_PRIMARIES[12]).to_srgb(RAMP.astype(np.float32))
+    np.testing.assert_allclose(read, wanted, atol=1.2 / 255)
+    for channel in range(3):
+        assert len(np.unique(read[0, :, channel])) > 32  # 8 bits have 4
+    same = zlib.compress(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    near = zlib.compress(profiled(r=(0.4500, 0.2225, 0.0139), g=(0.3851, 0.7169, 0.0971), b=(0.1431, 0.0606, 0.7141)))
+    for profile in (same, near):
+        np.testing.assert_allclose(read_picture(png_with(RAMP, (b"iCCP", b"x\0\0" + profile))), RAMP, atol=2e-5)
+
+
+def test_all_bits_of_a_picture_with_a_transparent_color_are_read() -> None:
+    key = np.rint(RAMP[0, 5] * 65535).astype(int)
+    read = read_picture(png_with(RAMP, (b"tRNS", struct.pack(">3H", *key))))
+    np.testing.assert_allclose(np.delete(read, 5, axis=1), np.delete(RAMP, 5, axis=1), atol=2e-5)
+    assert (read[0, 5] == 0).all()
+    gray = Image.fromarray(np.array([[100, 30000, 30001]], np.uint16))
+    file = io.BytesIO()
+    gray.save(file, "PNG", transparency=30000)
+    np.testing.assert_allclose(read_picture(file.getvalue())[0, :, 1], [100 / 65535, 0, 30001 / 65535], atol=1e-6)
 
 
 @pytest.mark.parametrize("bits", [10, 12])

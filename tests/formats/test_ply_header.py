@@ -36,7 +36,7 @@ START = "ply\nformat binary_little_endian 1.0\n"
         (START + "element vertex 1\nproperty list uchar quad x\n", "property 'x': unknown type 'quad'"),
         (START + "element vertex 1\nproperty float\n", "cannot read the header line 'property float'"),
         (START + "\x1b[31mred\n", r"cannot read the header line '\\x1b\[31mred'"),
-        (START + "\n", "cannot read the header line ''"),
+        (START + "\n", "no line .end_header."),
         (START + START[4:], "two 'format' lines"),
         ("ply\nformat binary_middle_endian 1.0\n", "unknown encoding 'binary_middle_endian'"),
         ("ply\nformat ascii 2.0\n", "version '2.0' is not read here"),

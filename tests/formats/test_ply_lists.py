@@ -43,10 +43,16 @@ def test_faces_before_the_gaussians_are_passed_over(order: str) -> None:
     assert "extra_elements" in [each.code for each in loaded.repairs]
 
 
-def test_faces_of_several_lengths_are_passed_over_in_text_and_named_in_binary() -> None:
-    assert_same(read_model(with_faces([3, 4, 3, 0], "")).model, MODEL)
-    with pytest.raises(FormatError, match=r"'face', property 'vertex_indices': lists of different lengths"):
-        read_model(with_faces([3, 4, 3, 3]))
+@pytest.mark.parametrize("order", ["<", ">", ""])
+def test_faces_of_several_lengths_are_passed_over(order: str) -> None:
+    assert_same(read_model(with_faces([3, 4, 70, 0], order)).model, MODEL)
+
+
+def test_gaussians_whose_lists_differ_are_refused() -> None:
+    head = HEAD.replace(b"property float opacity", b"property float opacity\nproperty list uchar short tags")
+    rows = b"".join(row.tobytes() + struct.pack(f"<B{k % 3}h", k % 3, *range(k % 3)) for k, row in enumerate(ROWS))
+    with pytest.raises(FormatError, match="'tags': lists of different lengths"):
+        read_model(head + b"end_header\n" + rows)
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -89,5 +95,8 @@ def test_a_cut_stays_an_error_of_ours(cut: int) -> None:
 
 def test_a_list_that_claims_billions_is_refused() -> None:
     head = HEAD.replace(b"element vertex", FACES.replace(b"uchar int", b"uint int") + b"element vertex")
-    with pytest.raises(FormatError, match="lists of different lengths"):
+    with pytest.raises(FormatError, match="is cut off, or the length of a list is wrong"):
         read_model(head + b"end_header\n" + b"\7\xff\xff\xff\xff" + bytes(48) + BODY)
+    many = HEAD.replace(b"element vertex", b"element face 20000000\nproperty list uchar int i\nelement vertex")
+    with pytest.raises(FormatError, match="20000000 rows with lists of different lengths"):
+        read_model(many + b"end_header\n\1" + bytes(20_000_010) + BODY)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,8 @@ from engine.formats import encode_model, read_cameras, read_model
 from engine.formats.cameras.fisheye import FisheyeCamera
 from engine.formats.points import read_points
 from engine.formats.sog.bundle import read_sog, write_sog
-from tests.formats.gltf_files import asset_of, glb_of, splats
-from tests.formats.models import random_model
+from tests.formats.gltf_files import asset_of, glb_of, gltf_of, splats
+from tests.formats.models import assert_same, names_of, random_model, rows_for
 from tests.formats.sog_scenes import bundle, unbundle
 
 
@@ -64,6 +65,119 @@ def test_balls_of_one_scale(turned: bool) -> None:
         read_model(plain_ply([*BALLS, "rot_0", "rot_1", "rot_2"], rows[:, [*range(8), 0, 1, 2]]))
 
 
+NAMES = ["x", "y", "z", "nx", "ny", "nz", *names_of(1)[3:]]
+ROWS = rows_for(NAMES, 40)
+
+
+@pytest.mark.parametrize(
+    ("other", "own"),
+    [
+        (["rot_w", "rot_x", "rot_y", "rot_z"], "rot"),
+        (["rotation_0", "rotation_1", "rotation_2", "rotation_3"], "rot"),
+        (["scale_x", "scale_y", "scale_z"], "scale"),
+        (["scaling_0", "scaling_1", "scaling_2"], "scale"),
+    ],
+)
+def test_names_of_scripts(other: list[str], own: str) -> None:
+    table = {f"{own}_{i}": name for i, name in enumerate(other)}
+    loaded = read_model(plain_ply([table.get(name, name) for name in NAMES], ROWS))
+    assert_same(loaded.model, read_model(plain_ply(NAMES, ROWS)).model)
+    assert loaded.repairs[0].code == "names_replaced"
+    assert loaded.repairs[0].count == len(other)
+
+
+def test_names_that_are_not_known_are_named() -> None:
+    names = [name.replace("f_dc_", "features_dc_") for name in NAMES]
+    with pytest.raises(FormatError, match=r"'f_dc_0': is missing; not known here: 'features_dc_0', .*codebook"):
+        read_model(plain_ply(names, ROWS))
+
+
+@pytest.mark.parametrize("other", ["features_rest", "sh", "sh_rest"])
+def test_harmonics_of_another_name_are_not_lost(other: str) -> None:
+    """Their order is not known: coefficient after coefficient, or channel after channel."""
+    names = [name.replace("f_rest", other) for name in NAMES]
+    with pytest.raises(FormatError, match=rf"'f_rest_0': is missing, but 9 properties such as '{other}_0'"):
+        read_model(plain_ply(names, ROWS))
+    assert read_model(plain_ply([*NAMES, "sh_0"], np.hstack([ROWS, ROWS[:, :1]]))).model.sh_degree == 1
+
+
+def test_the_first_version_of_gltf_is_named() -> None:
+    with pytest.raises(UnsupportedFormatError, match=r"glTF version '1\.0', read is 2"):
+        read_model(b'{"asset": {"version": "1.0"}, "meshes": {}}')
+
+
+def test_an_element_of_another_name() -> None:
+    """Street Gaussians has one for each thing that moves; some scripts one that is called after the Gaussians."""
+    whole = plain_ply(NAMES, ROWS)
+    loaded = read_model(whole.replace(b"element vertex", b"element gaussian"))
+    assert_same(loaded.model, read_model(whole).model)
+    assert loaded.repairs[0].text == "element 'gaussian' was read as 'vertex'"
+    head, body = whole.replace(b"element vertex", b"element vertex_background").split(b"end_header\n")
+    again = head[head.index(b"element") :].replace(b"background", b"obj_001")
+    with pytest.raises(FormatError, match="no element 'vertex', only 'vertex_background', 'vertex_obj_001'"):
+        read_model(head + again + b"end_header\n" + body + body)
+
+
+def test_headers_as_others_write_them() -> None:
+    whole = plain_ply(NAMES, ROWS)
+    plain = read_model(whole).model
+    for old, new in (
+        (b"property float opacity", b"\ncomment between\nobj_info\n \nproperty float opacity"),
+        (b"property float opacity", b"Property Float opacity"),
+        (b"element vertex 40", b"ELEMENT vertex 0000040"),
+    ):
+        assert_same(read_model(whole.replace(old, new)).model, plain)
+    name = "scalar_Höhe_à".encode()  # its last byte is a blank of Latin-1
+    loaded = read_model(whole.replace(b"float nx", b"float " + name).replace(b"float ny", b"float \xd6l"))
+    assert_same(loaded.model, plain)
+    written = encode_model(loaded.model, "ply")
+    assert b"property float " + name + b"\n" in written
+    assert_same(read_model(written).model, plain)
+
+
+@pytest.mark.parametrize(("kind", "code"), [("int64", "<i8"), ("uint64", "<u8"), ("bool", "u1")])
+def test_properties_of_other_types_are_carried(kind: str, code: str) -> None:
+    head, _ = plain_ply([*NAMES, "id"], ROWS).split(b"end_header\n")
+    rows = np.empty(len(ROWS), [(name, "<f4") for name in NAMES] + [("id", code)])
+    for i, name in enumerate(NAMES):
+        rows[name] = ROWS[:, i]
+    rows["id"] = np.arange(len(ROWS)) % 2 + (2**62 if code == "<u8" else 0)
+    loaded = read_model(head.replace(b"float id", f"{kind} id".encode()) + b"end_header\n" + rows.tobytes())
+    again = read_model(encode_model(loaded.model, "ply"))
+    for each in (loaded, again):
+        assert each.model.carried is not None
+        np.testing.assert_array_equal(each.model.carried.columns["id"], rows["id"])
+
+
+def test_values_between_commas_are_named() -> None:
+    head = plain_ply(NAMES, ROWS).split(b"end_header\n")[0].replace(b"binary_little_endian", b"ascii")
+    for between, words in ((", ", "separate values by blanks"), (" ", "decimal points")):
+        text = "\n".join(between.join(f"{v:.6f}" for v in row) for row in ROWS)
+        text = text if between == ", " else text.replace(".", ",")
+        with pytest.raises(FormatError, match=words):
+            read_model(head + b"end_header\n" + text.encode())
+
+
+def test_gzip_around_another_file_says_what_is_in_it() -> None:
+    with pytest.raises(FormatError, match=r"is gzip, but no SPZ file .in it: b'ply.n' .*gunzip"):
+        read_model(gzip.compress(plain_ply(NAMES, ROWS)))
+
+
+def test_a_gltf_of_a_program_of_windows() -> None:
+    parsed, binary = asset_of(splats(9, 0))
+    loaded = read_model(b"\xef\xbb\xbf" + gltf_of(parsed, binary))
+    assert_same(loaded.model, read_model(glb_of(parsed, binary)).model)
+
+
+def test_what_another_scene_of_a_gltf_shows_is_named() -> None:
+    parsed, binary = asset_of(splats(9, 0), splats(7, 0, 1))
+    parsed["scenes"] = [{"nodes": [0]}, {"nodes": [1]}]
+    loaded = read_model(glb_of(parsed, binary))
+    assert len(loaded.model) == 9
+    assert [each.code for each in loaded.repairs] == ["extra_gltf"]
+    assert "'1 meshes that its scene does not show'" in loaded.repairs[0].text
+
+
 def test_the_folder_of_a_training_names_its_model(tmp_path: Path) -> None:
     for number in ("7000", "30000"):
         folder = tmp_path / "point_cloud" / f"iteration_{number}"
@@ -101,7 +215,9 @@ def test_gaussians_of_a_draft_are_no_points(draft: str) -> None:
     old |= {f"_{name}": found[f"KHR_gaussian_splatting:{name}"] for name in ("ROTATION", "SCALE")}
     parsed, binary = asset_of(old)
     parsed["meshes"][0]["primitives"][0]["extensions"] = {draft: {}}
-    with pytest.raises(UnsupportedFormatError, match=r"draft|kernel"):
+    parsed["asset"]["generator"] = "Obj2Splat 0.3"
+    said = r"is of a draft of .*written by 'Obj2Splat 0\.3'.*export" if draft == "KHR_gaussian_splatting" else "draft"
+    with pytest.raises(UnsupportedFormatError, match=said):
         read_model(glb_of(parsed, binary))
     assert read_points(glb_of(parsed, binary), file="x") is None
 

@@ -4,11 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from engine.cli.app import app
 from engine.formats import encode_model, read_model
-from engine.formats.rotation_order import order_hint
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.scenes.rotation_order import order_hint
+from engine.scenes.scene_files import read_scene
 from tests.formats.models import random_model
 
 
@@ -25,10 +28,16 @@ def surface(n: int = 4000, seed: int = 0) -> GaussianModel:
 
 
 @pytest.mark.parametrize("order", [[1, 2, 3, 0], [3, 0, 1, 2]])
-def test_another_order_is_told(order: list[int]) -> None:
+def test_another_order_is_told(order: list[int], tmp_path: Path) -> None:
     model = surface()
     wrong = model.with_(quats=np.ascontiguousarray(model.quats[:, order]))
-    assert [each.code for each in read_model(encode_model(wrong, "ply")).repairs] == ["rotations_reordered"]
+    (tmp_path / "a.ply").write_bytes(encode_model(wrong, "ply"))
+    loaded = read_scene(tmp_path / "a.ply")
+    assert [each.code for each in loaded.noticed] == ["rotations_reordered"]
+    assert loaded.repairs == ()
+    for command in (["inspect"], ["convert", str(tmp_path / "b.ply")]):
+        shown = CliRunner().invoke(app, [command[0], str(tmp_path / "a.ply"), *command[1:]]).output
+        assert "rotations look stored" in shown
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

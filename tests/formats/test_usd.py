@@ -132,6 +132,16 @@ def test_an_archive_of_several_layers(tmp_path: Path) -> None:
 
 
 @needs_usd
+def test_a_volume_of_nurec_is_named(tmp_path: Path) -> None:
+    """As 3DGRUT packs it for Omniverse."""
+    with zipfile.ZipFile(tmp_path / "scene.usdz", "w") as archive:
+        archive.writestr("default.usda", '#usda 1.0\ndef Volume "gauss" {}\n')
+        archive.writestr("scene.nurec", b"\x1f\x8b")
+    with pytest.raises(UnsupportedFormatError, match=r"NuRec: export the scene as \.ply"):
+        read_model(tmp_path / "scene.usdz")
+
+
+@needs_usd
 @pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(3, 6))])
 @pytest.mark.parametrize("kind", ["usda", "usdc", "usdz"])
 def test_damage_is_an_error_of_ours_or_a_model(kind: str, seed: int) -> None:

@@ -12,29 +12,19 @@ from engine.formats.cameras.documents import MAX_IMAGE_SIDE, make_camera, warn_o
 from engine.model import Camera, Float64
 from engine.numerics.similarity import quaternion_to_rotation
 
-
-@dataclass(frozen=True)
-class _Lens:
-    """A camera model of COLMAP: its number in binary files, parameters, and how many of them are focals."""
-
-    number: int
-    parameters: int
-    focals: int
-
-
-_LENSES = {
-    "SIMPLE_PINHOLE": _Lens(0, 3, 1),
-    "PINHOLE": _Lens(1, 4, 2),
-    "SIMPLE_RADIAL": _Lens(2, 4, 1),
-    "RADIAL": _Lens(3, 5, 1),
-    "OPENCV": _Lens(4, 8, 2),
-    "OPENCV_FISHEYE": _Lens(5, 8, 2),
-    "SIMPLE_RADIAL_FISHEYE": _Lens(8, 4, 1),
-    "RADIAL_FISHEYE": _Lens(9, 5, 1),
+_LENSES = {  # of COLMAP: the number in binary files, parameters, and how many of them are focals
+    "SIMPLE_PINHOLE": (0, 3, 1),
+    "PINHOLE": (1, 4, 2),
+    "SIMPLE_RADIAL": (2, 4, 1),
+    "RADIAL": (3, 5, 1),
+    "OPENCV": (4, 8, 2),
+    "OPENCV_FISHEYE": (5, 8, 2),
+    "SIMPLE_RADIAL_FISHEYE": (8, 4, 1),
+    "RADIAL_FISHEYE": (9, 5, 1),
 }
 _STRAIGHT = (0.0, 0.0, 0.0, 0.0)
 _LARGEST = 1e15  # in pixels and scene units; also false for what is no number
-_NAMES = {lens.number: name for name, lens in _LENSES.items()}
+_NAMES = {number: name for name, (number, _, _) in _LENSES.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +100,17 @@ def _intrinsics(model: str, width: int, height: int, parameters: list[float], wh
     if lens is None:
         message = f"camera model {model[:40]!r} is not read here, only {', '.join(_LENSES)}; undistort the images"
         raise CameraError(f"{where}: {message}")
-    if len(parameters) != lens.parameters:
-        raise CameraError(f"{where}: {model} has {lens.parameters} parameters, not {len(parameters)}")
+    _, wanted, focals = lens
+    if len(parameters) != wanted:
+        raise CameraError(f"{where}: {model} has {wanted} parameters, not {len(parameters)}")
     if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
         raise CameraError(f"{where}: {width} x {height} is no image size")
-    fx, fy = parameters[0], parameters[lens.focals - 1]
-    cx, cy = parameters[lens.focals : lens.focals + 2]
+    fx, fy = parameters[0], parameters[focals - 1]
+    cx, cy = parameters[focals : focals + 2]
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if not (all(abs(value) < _LARGEST for value in parameters) and fx > 0 and fy > 0):
         raise CameraError(f"{where}: the parameters are no focal length and principal point")
-    k1, k2, p1, p2 = (*parameters[lens.focals + 2 :], 0.0, 0.0, 0.0, 0.0)[:4]
+    k1, k2, p1, p2 = (*parameters[focals + 2 :], 0.0, 0.0, 0.0, 0.0)[:4]
     return _Intrinsics(K, width, height, (k1, k2, p1, p2), model.endswith("FISHEYE"))
 
 
@@ -196,7 +187,7 @@ def _binary_cameras(data: bytes, file: str) -> dict[int, _Intrinsics]:
         name = _NAMES.get(number, f"number {number}")
         if name not in _LENSES:
             _intrinsics(name, width, height, [], where)
-        parameters = reader.take(f"<{_LENSES[name].parameters}d")
+        parameters = reader.take(f"<{_LENSES[name][1]}d")
         cameras[key] = _intrinsics(name, width, height, list(parameters), where)
     return cameras
 

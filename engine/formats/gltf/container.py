@@ -44,6 +44,7 @@ class Asset:
     binary: memoryview
     file: str
     folder: Path | None = None  # whose files it may name
+    opened: list[Path] = field(default_factory=list)  # of these files
     decoded: dict[int, memoryview] = field(default_factory=dict)  # buffers out of data URIs, or other files
 
     def rows(self, kind: str) -> list[Any]:
@@ -68,6 +69,13 @@ class Asset:
         return FormatError(message, file=self.file, element=element, prop=prop)
 
     @property
+    def generator(self) -> str:
+        """The program that wrote it, as it says; empty where it says nothing."""
+        about = self.json.get("asset")
+        found = about.get("generator") if isinstance(about, dict) else None
+        return found if isinstance(found, str) else ""
+
+    @property
     def size_beside(self) -> int:
         """Bytes of its buffers in other files."""
         rows = self.rows("buffers") if self.folder else []
@@ -77,7 +85,7 @@ class Asset:
         """Number of rows that an accessor claims."""
         return _whole(self, self.row("accessors", index), "count", f"accessor {index}")
 
-    def values(self, index: object, widths: int | tuple[int, ...], prop: str) -> npt.NDArray[np.float32]:
+    def values(self, index: object, widths: tuple[int, ...], prop: str) -> npt.NDArray[np.float32]:
         """(N, width) values of an accessor, integers as their component type says (normalised, or as they are).
 
         FormatError where it does not lie in its buffer, which is checked before anything is decoded, or has another
@@ -87,9 +95,9 @@ class Asset:
         if "sparse" in accessor:
             raise UnsupportedFormatError("is sparse", file=self.file, element=element, prop=prop)
         code, kind = accessor.get("componentType"), accessor.get("type")
-        width, allowed = _WIDTHS.get(str(kind)), widths if isinstance(widths, tuple) else (widths,)
-        if not isinstance(code, int) or code not in _CODES or width is None or width not in allowed:
-            wanted = " or ".join(map(str, allowed))
+        width = _WIDTHS.get(str(kind))
+        if not isinstance(code, int) or code not in _CODES or width is None or width not in widths:
+            wanted = " or ".join(map(str, widths))
             raise self.fault(f"is of {kind!r:.20} and {code!r:.20}, expected {wanted} numbers a row", element, prop)
         view = self.row("bufferViews", accessor.get("bufferView"))
         if "extensions" in view:
@@ -109,6 +117,13 @@ class Asset:
         found = table.astype(np.float32)
         if accessor.get("normalized") is True and dtype.kind in "iu":
             found = np.maximum(found / np.float32(np.iinfo(dtype).max), np.float32(-1.0))
+        return found
+
+    def attribute(self, attributes: Mapping[str, Any], name: str, *widths: int) -> npt.NDArray[np.float32]:
+        """(N, width) values of an attribute of a primitive, as many as it has positions; errors as `values`."""
+        found, count = self.values(attributes.get(name), widths, name), self.length(attributes["POSITION"])
+        if len(found) != count:
+            raise self.fault(f"has {len(found)} rows, POSITION {count}", "primitive", name)
         return found
 
     def blob(self, index: object) -> bytes:
@@ -141,9 +156,10 @@ class Asset:
             except (binascii.Error, ValueError):
                 raise self.fault(f"{what} is no base64", element) from None
         if not isinstance(uri, str) or self.folder is None:
-            message = f"{what} lies in another file ({uri!r:.60}); give the scene as .glb"
+            message = f"{what} lies in another file ({uri!r:.60}): give the scene as one file, .glb"
             raise UnsupportedFormatError(message, file=self.file, element=element)
         path = beside(self.folder, unquote(uri), self.file)
+        self.opened.append(path)
         return read_regular(path, str(path))
 
 
@@ -190,7 +206,11 @@ def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
 def _parse(text: bytes, file: str, limit: int) -> Json:
     if len(text) > limit:
         raise FormatError(f"its JSON has {len(text)} bytes, more than {limit}", file=file)
-    return json_object(text, file=file, element="JSON")
+    parsed = json_object(text, file=file, element="JSON")
+    about = parsed.get("asset")
+    if isinstance(about, dict) and str(about.get("version")).startswith("1."):
+        raise UnsupportedFormatError(f"glTF version {str(about['version'])[:20]!a}, read is 2", file=file)
+    return parsed
 
 
 def _whole(asset: Asset, row: Mapping[str, Any], key: str, element: str, default: int | None = None) -> int:

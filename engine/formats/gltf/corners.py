@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.gltf.container import Asset, unpack
@@ -58,18 +57,13 @@ def _corners(
     asset: Asset, primitive: Mapping[str, Any], matrix: Float64, textures: Textures
 ) -> tuple[Float32, Float32]:
     attributes = primitive["attributes"]
-
-    def values(name: str, *widths: int) -> npt.NDArray[np.float32]:
-        found = asset.values(attributes.get(name), widths, name)
-        if len(found) != asset.length(attributes["POSITION"]):
-            raise asset.fault(f"has {len(found)} rows, POSITION another number", "primitive", name)
-        return found
-
+    values = partial(asset.attribute, attributes)
     points = values("POSITION", 3)
     light: Float64 = np.ones((len(points), 3))
     if "COLOR_0" in attributes:
         stored = np.clip(values("COLOR_0", 3, 4)[:, :3], 0, 1).astype(np.float64)
-        light = to_linear(stored) if _is_as_shown(asset) else stored
+        as_shown = any(name in asset.generator.lower() for name in _AS_SHOWN)
+        light = to_linear(stored) if as_shown else stored
     if (texture := _texture(asset, primitive)) is not None:
         image = partial(_content, asset, texture)
         try:
@@ -84,12 +78,6 @@ def _corners(
     with np.errstate(over="ignore", invalid="ignore"):  # what is no place is left out
         placed = (points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
     return placed, from_linear(light).astype(np.float32)
-
-
-def _is_as_shown(asset: Asset) -> bool:
-    about = asset.json.get("asset")
-    generator = str(about.get("generator", "")).lower() if isinstance(about, dict) else ""
-    return any(name in generator for name in _AS_SHOWN)
 
 
 def _base(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]:

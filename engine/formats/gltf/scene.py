@@ -1,4 +1,4 @@
-"""Gaussians in glTF: the extension KHR_gaussian_splatting, read and written (as .glb; .gltf with data URIs is read).
+"""Gaussians in glTF: the extension KHR_gaussian_splatting, read (.glb, .gltf) and written (.glb).
 
 Specification: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting (complete, ratified): points with
 linear scales and opacities, quaternions x, y, z, w, spherical harmonics with INRIA's signs, one accessor a
@@ -10,12 +10,14 @@ of Cesium's tiles, which hold glTF's axes as they are. Other drafts are refused 
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.declaration import Place
 from engine.formats.gltf.container import MAGIC, UNPACK, Asset, pack_glb, unpack
 from engine.formats.gltf.nodes import as_similarity, primitives_of, shown_meshes
 from engine.formats.guards import check_count
@@ -54,7 +56,7 @@ _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 def looks_like_gltf(data: bytes | memoryview) -> bool:
     """Whether bytes begin as a GLB, or are the JSON of a .gltf: an object that names a version in its `asset`, which
     tiles of 3D Tiles do as well. JSON that cannot be parsed, with such a member, is a damaged one."""
-    head = bytes(data[:1024])
+    head = bytes(data[:1024]).removeprefix(b"\xef\xbb\xbf")
     if head.startswith(MAGIC):
         return True
     if head.lstrip()[:1] != b"{" or any(byte < 32 and byte not in b"\t\n\r" for byte in head):
@@ -69,14 +71,15 @@ def looks_like_gltf(data: bytes | memoryview) -> bool:
     return isinstance(asset, dict) and "version" in asset
 
 
-def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+def read_gltf(data: bytes, *, file: str, place: Place | None = None) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """All Gaussians that the scene shows, in PLY's axes, primitive after primitive.
 
     FormatError if lengths, indices and counts do not agree, which is checked before anything is decoded;
     UnsupportedFormatError if there are no Gaussians, or they need an extension, a kernel, a color space or a
     transformation that has no place here.
     """
-    asset = unpack(data, file=file)
+    place = place or Place()
+    asset = replace(unpack(data, file=file, folder=place.folder), opened=place.opened)
     _check_required(asset)
     shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
     if not shown:
@@ -85,7 +88,8 @@ def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, .
         raise UnsupportedFormatError(message, file=file, element="meshes")
     plain = [_attributes(asset, primitive) for primitive, _ in shown if _spz_view(primitive) is None]
     if plain:
-        check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), len(data), file=file)
+        size = len(data) + asset.size_beside
+        check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), size, file=file)
     parts: list[GaussianModel] = []
     repairs = _left_out(asset, [primitive for primitive, _ in shown])
     origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
@@ -120,6 +124,8 @@ def _left_out(asset: Asset, shown: list[Mapping[str, Any]]) -> list[Repair]:
     meshes = {mesh for mesh, _ in shown_meshes(asset)}
     others = sum(len(primitives_of(asset, mesh)) for mesh in meshes) - len({id(primitive) for primitive in shown})
     found += [f"{others} meshes or points without Gaussians"] if others else []
+    hidden = len(asset.rows("meshes")) - len(meshes)
+    found += [f"{hidden} meshes that its scene does not show"] if hidden else []
     attributes = {name: None for primitive in shown for name in primitive.get("attributes", ())}
     found += [name for name in attributes if not name.startswith((EXTENSION, "POSITION", "COLOR_0"))]
     found += ["targets"] if any("targets" in primitive for primitive in shown) else []
@@ -221,9 +227,14 @@ def _check_said(asset: Asset, said: Mapping[str, Any], mesh: object) -> None:
         raise asset.fault("is no object", f"mesh {mesh}", SPZ)
     if nested and "kernel" not in said:  # a tile of Cesium's
         return
+    if not {"kernel", "colorSpace"} <= said.keys():
+        by = f", written by {ascii(asset.generator)[:80]}" if asset.generator else ""
+        message = f"is of a draft of {EXTENSION}, which names no kernel or color space{by}: update that program and"
+        message += " export the scene again, or export it as .ply or .spz"
+        raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION)
     for key, wanted in (("kernel", "ellipse"), ("colorSpace", COLOR_SPACE), ("projection", "perspective")):
-        if said.get(key, wanted if key == "projection" else None) != wanted:
-            message = f"{said.get(key)!r:.60} is not read here, only {wanted!r}"
+        if said.get(key, wanted) != wanted:
+            message = f"{said[key]!r:.60} is not read here, only {wanted!r}"
             raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION, prop=key)
 
 
@@ -266,13 +277,9 @@ def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[Gaussia
     count = asset.length(attributes["POSITION"])
 
     def values(name: str, width: int) -> npt.NDArray[np.float32]:
-        semantic = name if name == "POSITION" else f"{EXTENSION}:{name}"
-        found = asset.values(attributes[semantic], width, semantic)
-        if len(found) != count:
-            raise asset.fault(f"has {len(found)} rows, POSITION {count}", "primitive", semantic)
-        return found
+        return asset.attribute(attributes, f"{EXTENSION}:{name}", width)
 
-    means, quats = values("POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
+    means, quats = asset.attribute(attributes, "POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
     scales, opacities = values("SCALE", 3), values("OPACITY", 1)[:, 0].astype(np.float64)
     degree = _degree(asset, primitive)
     sh = np.empty((count, (min(degree, 3) + 1) ** 2, 3), dtype=np.float32)
@@ -283,16 +290,9 @@ def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[Gaussia
     with np.errstate(divide="ignore", invalid="ignore"):  # 0 and 1 are mended, what lies outside is a fault
         log_scales: Float32 = np.log(scales)
         logits = np.log(opacities) - np.log1p(-opacities)
-    if _is_log(asset, scales):
+    if asset.generator.startswith("splat-transform") and (scales < 0).any():
         log_scales = scales
         text = "sizes were stored as logarithms, as early splat-transform did against the specification"
         repairs += (Repair("scales_logarithmic", count, text),)
     model, mended = clean(means, log_scales, quats, logits, sh, file=asset.file, element="primitive")
     return model, (*repairs, *mended)
-
-
-def _is_log(asset: Asset, scales: Float32) -> bool:
-    """Whether sizes are logarithms: its writer is known to have stored them so, and some are negative."""
-    about = asset.json.get("asset")
-    generator = about.get("generator") if isinstance(about, dict) else None
-    return isinstance(generator, str) and generator.startswith("splat-transform") and bool((scales < 0).any())

@@ -8,7 +8,7 @@ KINDS = (
     Kind(
         "glb",
         lambda data, file: _SCENE().looks_like_gltf(data),
-        lambda data, file, _: _SCENE().read_gltf(data, file=file),
+        lambda data, file, place: _SCENE().read_gltf(data, file=file, place=place),
         lambda model: _SCENE().write_glb(model),
         holds=("harmonics",),
     ),

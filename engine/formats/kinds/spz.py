@@ -18,7 +18,7 @@ KINDS = (
     Kind(
         "spz",
         lambda data, file: data.startswith((b"\x1f\x8b", b"NGSP")),
-        lambda data, file, frame: _STREAM().read_spz(data, file=file, frame=frame),
+        lambda data, file, place: _STREAM().read_spz(data, file=file, frame=place.spz_frame),
         lambda model: [_STREAM().write_spz(model)],
         holds=("harmonics", "antialiasing"),
         ranges=(

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.ply.header import Element, Header
+from engine.formats.ply.lists import end_of_rows
 
 _LINES_AT_ONCE = 4096
 _WINDOWS = re.compile(r"[-+]?(nan\((ind|snan)\)|1\.#(ind|inf|qnan|snan)\d*)", re.IGNORECASE)
@@ -23,20 +24,15 @@ def read_tables(
 
     That rows times bytes a row is what follows the header is checked first. Of a binary file they are views on its
     bytes in its byte order. FormatError if there is less, or more, than the header announces, a line of an ASCII file
-    is not what it should be (with its row and property), or lists stand in the way of an element wanted.
+    is not what it should be (with its row and property), or an element wanted has lists.
     """
-    for element in header.elements:
-        listed = next((p for p in element.properties if p.is_list), None)
-        if listed is not None and (header.byte_order or element.name in wanted):  # lines of text are skipped as such
-            message = "lists of different lengths in rows that must be passed to find others: export without them"
-            raise FormatError(message, file=file, element=element.name, prop=listed.name)
-        if element.name == wanted[-1]:
-            break
+    for name, prop in ((e.name, p) for e in header.elements if e.name in wanted for p in e.properties if p.is_list):
+        raise FormatError("lists of different lengths: export without them", file=file, element=name, prop=prop.name)
     if not header.byte_order:
         return _read_ascii(data, header, wanted, file)
     length = header.size + sum(element.count * element.stride for element in header.elements)
     ends_as_text = bytes(data[length : length + 3]) in (b"\n", b"\r\n")
-    offsets = _locate(header, length if ends_as_text else len(data), file=file)
+    offsets = _locate(data, header, length if ends_as_text else len(data), wanted[-1], file)
     tables = {}
     for element in header.elements:
         if element.name in wanted:
@@ -45,18 +41,19 @@ def read_tables(
     return tables
 
 
-def _locate(header: Header, length: int, file: str) -> dict[str, int]:
-    """Offset of every element before the first one with lists, once all bytes are known to be there.
+def _locate(data: bytes | memoryview, header: Header, length: int, until: str, file: str) -> dict[str, int]:
+    """Offset of every element up to the one called `until`, once all bytes are known to be there.
 
-    With lists at the end of the file, which are skipped, the rest must only be long enough.
+    With lists after it, which are skipped, the rest must only be long enough.
     """
     offsets: dict[str, int] = {}
     offset, open_end = header.size, False
     for element in header.elements:
-        if not open_end and not element.has_lists:
-            offsets[element.name] = offset
-        open_end = open_end or element.has_lists
+        offsets[element.name] = offset
+        open_end = open_end or (element.has_lists and until in offsets)
         offset += element.count * element.stride
+        if element.has_lists and not open_end and offset <= length:
+            offset = end_of_rows(data, header, element, offsets[element.name], file=file)
         if offset > length:
             there = length - (offset - element.count * element.stride)
             message = (
@@ -129,7 +126,8 @@ def _fault(block: list[str], start: int, element: Element, file: str) -> FormatE
             try:
                 np.loadtxt([word], dtype=prop.code, comments=None)
             except (ValueError, OverflowError):
-                hint = " (export it with decimal points)" if "," in word else ""
+                hint = "separate values by blanks" if word.endswith(",") else "export it with decimal points"
+                hint = f" ({hint})" if "," in word else ""
                 message = f"{word[:40]!a} is no {np.dtype(prop.code).name}{hint}"
                 return FormatError(message, file=file, element=element.name, row=row, prop=prop.name)
     return FormatError("cannot be read", file=file, element=element.name, row=start)

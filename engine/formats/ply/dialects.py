@@ -9,13 +9,18 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.ply.extras import named
-from engine.formats.ply.header import TYPE_NAMES, Element, Header
+from engine.formats.ply.header import TYPE_NAMES, Header
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
+_ALIASES = {
+    f"{other}_{i}": f"{own}_{i}" for own, other in (("rot", "rotation"), ("scale", "scaling")) for i in range(4)
+}
+_ALIASES |= {f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")}
+_ALIASES |= {f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")}  # names that scripts write, and INRIA's
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
 _LEAST_HALF = 2.0**-10
 """Whole numbers below 5,120 are half floats below this: a column of them has no larger value."""
@@ -34,21 +39,29 @@ _FEW = 64  # too few to say from their values what they are
 def plain_names(header: Header) -> tuple[Header, list[Repair]]:
     """The header with INRIA's names, where a program put a prefix before them (CloudCompare: ``scalar_``) or wrote
     colors where the first coefficients should be (nerfstudio: ``red``, ``green``, ``blue``)."""
-    vertex = header.element("vertex")
+    vertex, repairs = header.element("vertex"), list[Repair]()
     if vertex is None:
-        return header, []
+        gaussians = [element for element in header.elements if element.names >= _GAUSSIAN]
+        if len(gaussians) != 1:
+            return header, []
+        vertex = gaussians[0]
+        repairs.append(Repair("element_renamed", vertex.count, f"element {vertex.name!a} was read as 'vertex'"))
     names = [p.name for p in vertex.properties]
     prefix = next((name.removesuffix("opacity") for name in names if name.endswith("opacity")), "")
-    repairs: list[Repair] = []
-    lower = [name.lower() for name in names]
-    if names != lower and set(lower) >= _GAUSSIAN > set(names) & _GAUSSIAN and len(set(lower)) == len(names):
-        repairs.append(Repair("names_lowered", len(names), "names of properties were read in lower case"))
-        names = lower
-    if prefix and "opacity" not in names:
-        new = _unprefixed(names, prefix)
-        if set(new) >= _GAUSSIAN:
-            count = sum(a != b for a, b in zip(names, new, strict=True))
-            repairs.append(Repair("names_prefixed", count, f"the prefix {prefix[:40]!r} of {count} names was dropped"))
+
+    def unprefixed(name: str) -> str:
+        plain = name.removeprefix(prefix)
+        return plain if plain and plain not in names else name
+
+    for code, rename, how in (
+        ("names_lowered", str.lower, "in lower case"),
+        ("names_prefixed", unprefixed, f"without the prefix {prefix[:40]!r}"),
+        ("names_replaced", lambda name: str(_ALIASES.get(name, name)), "as those of INRIA's files"),
+    ):
+        new = [rename(name) for name in names]
+        changed = [old for old, name in zip(names, new, strict=True) if old != name]
+        if set(new) >= _GAUSSIAN > set(names) & _GAUSSIAN and len(set(new)) == len(new):
+            repairs.append(Repair(code, len(changed), f"names {named(changed)} were read {how}"))
             names = new
     colors = next((c for c in COLORS if set(c) <= set(names)), None)
     if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:
@@ -56,20 +69,9 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
         names = [table.get(name, name) for name in names]
         text = f"colors {named(colors)} were read as the first coefficients of harmonics"
         repairs.append(Repair("colors_read", vertex.count, text))
-    properties = (replace(p, name=name) for name, p in zip(names, vertex.properties, strict=True))
-    return replace(header, elements=_with(header.elements, replace(vertex, properties=tuple(properties)))), repairs
-
-
-def _unprefixed(names: list[str], prefix: str) -> list[str]:
-    there, found = set(names), []
-    for name in names:
-        plain = name.removeprefix(prefix)
-        found.append(plain if plain and plain not in there else name)
-    return found
-
-
-def _with(elements: Iterable[Element], changed: Element) -> tuple[Element, ...]:
-    return tuple(changed if element.name == changed.name else element for element in elements)
+    properties = tuple(replace(p, name=name) for name, p in zip(names, vertex.properties, strict=True))
+    read = replace(vertex, name="vertex", properties=properties)
+    return replace(header, elements=tuple(read if e is vertex else e for e in header.elements)), repairs
 
 
 def plain_types(
@@ -87,7 +89,9 @@ def plain_types(
         as_halves = np.dtype([(name, f"{order[name]}f2" if name in whole else t) for name, t in fields.items()])
         viewed: npt.NDArray[np.void] = records.view(as_halves)
         odd = next((name for name in whole if not _plausible(viewed[name], name)), None)
-        if set(whole) <= set("xyz") and _in_whole_units(records):
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            size = np.median(records["scale_0"].astype(np.float64))
+        if set(whole) <= set("xyz") and size > np.log(1 / 20):  # not far below one unit: centers may be whole numbers
             odd = whole[0]
         if odd is None:
             kinds = {TYPE_NAMES[fields[name].str[1:]] for name in whole}
@@ -107,12 +111,6 @@ def _plausible(values: npt.NDArray[Any], name: str) -> bool:
     if np.count_nonzero(good) < _SOUND_SHARE * len(found):
         return False
     return name.startswith("f_rest") or not found.any() or float(found[good].max()) >= _LEAST_HALF
-
-
-def _in_whole_units(records: npt.NDArray[np.void]) -> bool:
-    """Whether sizes are such that centres may well be whole numbers: not far below one unit."""
-    with np.errstate(invalid="ignore"):  # signalling NaN
-        return bool(np.median(records["scale_0"].astype(np.float64)) > np.log(1 / 20))
 
 
 def dc_of_colors(colors: Float32, code: np.dtype[Any]) -> Float32:

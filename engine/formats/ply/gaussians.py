@@ -3,6 +3,7 @@
 
 # mypy: allow-untyped-defs
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,19 +12,9 @@ import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with_mode
+from engine.formats.ply import extras
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, georeferenced, plain_names, plain_types
-from engine.formats.ply.extras import (
-    FILTER,
-    carried_by,
-    carrying,
-    fuse_filter,
-    ignored,
-    lines_of,
-    named,
-    refuse_codebooks,
-    refuse_motion,
-)
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.ply.lists import plain_lists
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
@@ -36,6 +27,7 @@ REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16, 72: 16}
 _AXES = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
 _ANCHORS = ("f_anchor", "f_offset", "anchor_feat")
+_HARMONICS = re.compile(r"(sh|shs|shn|sh_rest|features?_rest|sh_coeffs?)_?\d+", re.IGNORECASE)
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 
@@ -52,7 +44,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     vertex, used, more, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     _check_order(records, file)
-    repairs = [*renamed, *carrying(header, more), *repairs]
+    repairs = [*renamed, *extras.carrying(header, more), *repairs]
     if any(records[name].any() for name in _NORMALS if name in vertex.names):
         more = [p.name for p in vertex.properties if p.name in (*more, *_NORMALS)]
     colored = any(repair.code == "colors_read" for repair in renamed)
@@ -74,12 +66,12 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
         text = f"2DGS discs: their third scale was set to {DISC_THICKNESS:g} of the smaller one"
         repairs.append(Repair("flat_discs", len(records), text))
     mode = mode_of_comments(header.comments)
-    if FILTER in vertex.names:
-        width = records[FILTER].astype(np.float32)
-        arrays["log_scales"], arrays["opacity_logits"] = fuse_filter(
+    if extras.FILTER in vertex.names:
+        width = records[extras.FILTER].astype(np.float32)
+        arrays["log_scales"], arrays["opacity_logits"] = extras.fuse_filter(
             arrays["log_scales"], arrays["opacity_logits"], width
         )
-        text = f"Mip-Splatting's {FILTER!r} was folded into sizes and opacities, as its own export does"
+        text = f"Mip-Splatting's {extras.FILTER!r} was folded into sizes and opacities, as its own export does"
         repairs.append(Repair("filter_fused", len(records), text))
         mode = mode or ANTIALIASED
     logits = arrays["opacity_logits"]
@@ -87,7 +79,7 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     repairs += [*moved, *activation_hints(arrays["log_scales"], logits, arrays["sh"][:, 0])]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
     rows = None if model.file_rows is None else model.file_rows.rows
-    model = model.with_(origin=origin, carried=carried_by(header, records, more, rows))
+    model = model.with_(origin=origin, carried=extras.carried_by(header, records, more, rows))
     return with_mode(model, mode), (*repairs, *mended)
 
 
@@ -104,7 +96,7 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     scales = ["scale_0", "scale_1"] if model.is_flat else ["scale_0", "scale_1", "scale_2"]
     names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
     comment = comment_of(model) if not model.is_flat else []  # two scales say it
-    comments, properties = lines_of(model.carried)
+    comments, properties = extras.lines_of(model.carried)
     lines = ["ply", "format binary_little_endian 1.0", *comment, *comments, f"element vertex {len(model)}"]
     more = () if model.carried is None else model.carried.names
     names = [name for name in names if name not in more]  # normals that are carried
@@ -138,13 +130,13 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
 def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[str], list[Repair]]:
     """The vertex element once it is known to hold Gaussians, the properties that are read, those that are none of a
     Gaussian, and what the file holds besides."""
-    refuse_codebooks(header, file=file)
+    extras.refuse_codebooks(header, file=file)
     vertex = header.element("vertex")
     if vertex is None:
         there = ", ".join(repr(e.name) for e in header.elements[:5])
         raise FormatError(f"has no element 'vertex', only {there}", file=file)
     if vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
-        refuse_motion(vertex, file=file)
+        extras.refuse_motion(vertex, file=file)
     if "f_dc_0" not in vertex.names and any(name.startswith(_ANCHORS) for name in vertex.names):
         message = "holds anchors of a neural model (Scaffold-GS, Octree-GS): a network makes Gaussians of them for each"
         raise UnsupportedFormatError(message + " view; export plain Gaussians", file=file, element="vertex")
@@ -152,10 +144,7 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         message = "is of Deformable Beta Splatting, whose kernels are no Gaussians: train the scene as Gaussians"
         raise UnsupportedFormatError(message, file=file, element="vertex", prop="beta")
     if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
-        message = (
-            "is missing; where the colors lie in codebook files of its own (Compact3D), give the folder; where they"
-            " have another name, give them this one"
-        )
+        message = f"is missing{_unknown(vertex)}; where the colors lie in codebook files (Compact3D), give the folder"
         raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
     if not vertex.names & {"f_dc_0", "scale_0", "rot_0"}:
         colored = {"red", "green", "blue"} <= vertex.names
@@ -170,22 +159,33 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
         needed[:-1] if is_ball and not vertex.names & rotations else [*needed[: 9 - is_ball], *sorted(rotations)]
     ):
         if name not in vertex.names:
-            known = {*needed, "scale_2", *rotations, *_NORMALS}
-            others = [p.name for p in vertex.properties if p.name not in known and not p.name.startswith("f_rest_")]
-            there = f"; not known here: {named(others)}: give each the name that INRIA's files have" if others else ""
-            raise FormatError(f"is missing{there}", file=file, element="vertex", prop=name)
+            raise FormatError(f"is missing{_unknown(vertex)}", file=file, element="vertex", prop=name)
 
+    harmonics = [name for name in vertex.names if _HARMONICS.fullmatch(name)]
+    if harmonics and "f_rest_0" not in vertex.names:
+        message = (
+            f"is missing, but {len(harmonics)} properties such as {min(harmonics)!a} look like harmonics: name them"
+        )
+        message += " f_rest_0 and so on, all of red first, then green, then blue"
+        raise FormatError(message, file=file, element="vertex", prop="f_rest_0")
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
-    known = {*needed, FILTER, "scale_2", *rotations, *(f"f_rest_{i}" for i in range(rest))}
+    known = {*needed, extras.FILTER, "scale_2", *rotations, *(f"f_rest_{i}" for i in range(rest))}
     used = [p.name for p in vertex.properties if p.name in known]
     extra = [p.name for p in vertex.properties if p.name not in known and p.name not in _NORMALS]
     if rest not in (0, 9, 24, 45):
         repairs.append(degree_dropped(4, vertex.count))
     others = [e.name for e in header.elements if e is not vertex]
     if others:
-        repairs.append(ignored("elements", others))
+        repairs.append(extras.ignored("elements", others))
     return vertex, used, extra, repairs
+
+
+def _unknown(vertex: Element) -> str:
+    """What to do with properties that no Gaussian has, if there are some."""
+    known = re.compile(r"[xyz]|n[xyz]|opacity|(f_dc|f_rest|scale|rot)_\d+")
+    others = [p.name for p in vertex.properties if not known.fullmatch(p.name)]
+    return f"; not known here: {extras.named(others)}: give each the name that INRIA's files have" if others else ""
 
 
 def _check_order(records: npt.NDArray[Any], file: str) -> None:

@@ -12,16 +12,17 @@ MAX_HEADER_BYTES = 1 << 16
 
 _CODES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _SCALAR_TYPES = _CODES | {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
-_SCALAR_TYPES |= {"half": "f2", "float16": "f2"}
+_SCALAR_TYPES |= {"half": "f2", "float16": "f2", "int64": "i8", "uint64": "u8", "bool": "u1"}
 _SCALAR_TYPES |= {f"{'u' * (code[0] == 'u')}int{8 * int(code[1])}": code for code in _CODES.values()}
 """What PLY calls its types, old names and new, and how numpy spells them."""
 
 TYPE_NAMES = {code: name for name, code in _CODES.items()} | {"f2": "half", "f4": "float", "f8": "double"}
+TYPE_NAMES |= {"i8": "int64", "u8": "uint64"}
 """What PLY calls numpy's types; no name is longer than the other of its kind."""
 
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _COUNT = re.compile(r"[0-9]{1,15}", re.ASCII)
-_NAME = re.compile(r"[\x21-\x7e]{1,80}")
+_NAME = re.compile(r"[\x21-\x7e\x80-\xff]{1,80}")
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,10 @@ class _Parser:
         self.comments: list[str] = []
 
     def take(self, line: bytes) -> None:
-        words = line.decode("latin-1").split()
-        keyword = words[0] if words else ""
+        words = [word.decode("latin-1") for word in line.split()]  # of bytes: some of UTF-8 are blanks of that
+        if not words:
+            return
+        keyword = words[0].lower()
         if keyword in ("comment", "obj_info"):
             self.comments.append(line.strip().partition(words[0].encode())[2].strip().decode("latin-1"))
             return
@@ -172,9 +175,9 @@ class _Parser:
         properties[prop.name] = prop
 
     def _type(self, name: str, prop: str) -> str:
-        if name not in _SCALAR_TYPES:
+        if name.lower() not in _SCALAR_TYPES:
             raise FormatError(f"unknown type {_show(name)}", file=self.file, element=self.current, prop=_clip(prop))
-        return _SCALAR_TYPES[name]
+        return _SCALAR_TYPES[name.lower()]
 
     def _check_name(self, name: str) -> None:
         if not _NAME.fullmatch(name):

@@ -121,32 +121,16 @@ def decode_sh(section: memoryview, sh: Float32) -> None:
         part *= np.float32(1.0 / 128.0)
 
 
-def encode_sh(sh: Float32, signs: Float32, bits: tuple[int, int]) -> bytes:
-    """Coefficients 1 to K - 1 of an (N, K, 3) array, times signs (K,), rounded to `bits` of eight.
-
-    The first number of bits is for degree 1, the second for degrees 2 and 3; [-1, 127/128] is the range.
-    Fewer bits only make the bytes repeat, so that they pack better: buckets of 2^(8 - bits), centred on their
-    multiples.
-    """
-    count = sh.shape[1]
-    if count == 1:
-        return b""
-    buckets = np.array([1 << (8 - bits[0])] * 3 + [1 << (8 - bits[1])] * (count - 4))[:, None]  # (K - 1, 1)
-    fine = all(bit == 8 for bit in bits)
-    result = np.empty((len(sh), count - 1, 3), dtype=np.uint8)
+def encode_sh(sh: Float32, signs: Float32) -> bytes:
+    """Coefficients 1 to K - 1 of an (N, K, 3) array, times signs (K,), in steps of 1/128 from -1 to 127/128."""
+    result = np.empty((len(sh), sh.shape[1] - 1, 3), dtype=np.uint8)
     for start in range(0, len(sh), _CHUNK):
         part = sh[start : start + _CHUNK, 1:] * (signs[1:, None] * np.float32(128.0)) + np.float32(128.0)
-        if fine:
-            result[start : start + _CHUNK] = _to_bytes(part)
-            continue
-        nearest = np.rint(np.clip(part, -256.0, 512.0)).astype(np.int32)
-        result[start : start + _CHUNK] = np.clip((nearest + buckets // 2) // buckets * buckets, 0, 255)
+        result[start : start + _CHUNK] = _to_bytes(part)
     return result.tobytes()
 
 
-def encode_all(
-    arrays: Sequence[npt.NDArray[Any]], fractional_bits: int, signs: Float32, bits: tuple[int, int]
-) -> tuple[bytes, ...]:
+def encode_all(arrays: Sequence[npt.NDArray[Any]], fractional_bits: int, signs: Float32) -> tuple[bytes, ...]:
     """The six sections of means, log scales, quaternions, opacities and sh, in the order of the file: the inverse of
     the decoders, clipped to their ranges."""
     means, log_scales, quats, opacities, sh = arrays
@@ -156,7 +140,7 @@ def encode_all(
         _to_bytes(sh[:, 0] * signs[0] * np.float32(COLOR_SCALE * 255.0) + np.float32(127.5)).tobytes(),
         _to_bytes((log_scales + np.float32(10.0)) * np.float32(16.0)).tobytes(),
         encode_smallest_three(quats),
-        encode_sh(sh, signs, bits),
+        encode_sh(sh, signs),
     )
 
 

@@ -27,11 +27,7 @@ MAX_FRACTIONAL_BITS = 24
 """Positions are 24-bit fixed point."""
 
 ZLIB_LEVEL = 3
-"""The 65 MB of 1M Gaussians with SH of degree 3 take 1.3 s; level 6 takes 1.6 to 3 times as long and saves
-nothing with 8 bits of SH, 6 % with (5, 4)."""
-
-ZSTD_LEVEL = 7
-"""65 MB take 0.75 s; level 12, the reference's, takes 2 s for 2 % less."""
+"""The 65 MB of 1M Gaussians with SH of degree 3 take 1.3 s; level 6 takes 1.6 to 3 times as long and saves nothing."""
 
 _HEADER = struct.Struct("<IIIBBBB")
 _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
@@ -95,9 +91,9 @@ def unpack(data: bytes, *, file: str) -> Payload:
 
 def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
-        raise FormatError(
-            f"is gzip, but no SPZ file (magic {magic:#010x}): unpack it first", file=file, element="header"
-        )
+        inside = f"in it: {magic.to_bytes(4, 'little')!a} and more"
+        message = f"is gzip, but no SPZ file ({inside}): unpack it (gunzip), and give what is in it"
+        raise FormatError(message, file=file)
     if header.version not in versions:
         message = f"SPZ version {header.version}, read are 1 to 4: export one of these, or .ply"
         if header.version == 4:
@@ -206,22 +202,11 @@ def _unzstd(stream: bytes, size: int, *, file: str, element: str) -> bytes:
     return body
 
 
-def pack(header: Header, sections: tuple[bytes, ...], extensions: bytes) -> bytes:
-    """Put an SPZ file of version 3 (gzip) or 4 (zstd) together; the same bytes for the same input (no date, no
-    threads).
+def pack(header: Header, sections: tuple[bytes, ...]) -> bytes:
+    """A file of one stream in gzip; the same bytes for the same input (no date).
 
-    Sections are positions, alphas, colors, scales, rotations, sh; extension records are for version 4 only: older
-    readers of version 3 refuse trailing bytes.
+    Sections are positions, alphas, colors, scales, rotations, sh.
     """
-    fields = (MAGIC, header.version, header.count, header.sh_degree, header.fractional_bits)
-    if header.version == 3:
-        deflater = zlib.compressobj(ZLIB_LEVEL, zlib.DEFLATED, 31)  # 31: gzip with an empty date
-        parts = [deflater.compress(part) for part in (_HEADER.pack(*fields, header.flags, 0), *sections)]
-        return b"".join([*parts, deflater.flush()])
-    filled = [section for section in sections if section]
-    streams = [zstd.compress(section, ZSTD_LEVEL) for section in filled]
-    flags = header.flags | (HAS_EXTENSIONS if extensions else 0)
-    head = _HEADER_V4.pack(*fields, flags, len(streams), _HEADER_V4.size + len(extensions))
-    pairs = zip(streams, filled, strict=True)
-    entries = [_TOC_ENTRY.pack(len(stream), len(section)) for stream, section in pairs]
-    return b"".join([head, extensions, *entries, *streams])
+    head = _HEADER.pack(MAGIC, header.version, header.count, header.sh_degree, header.fractional_bits, header.flags, 0)
+    deflater = zlib.compressobj(ZLIB_LEVEL, zlib.DEFLATED, 31)  # 31: gzip with an empty date
+    return b"".join([*(deflater.compress(part) for part in (head, *sections)), deflater.flush()])

@@ -19,12 +19,10 @@ specification's, or those of PLY."""
 COORDINATE_SYSTEM_EXTENSION = 0xADBE0003
 """SPZ_ADOBE_coordinate_system: one uint32, the number of a frame."""
 
-RUB = 4
-"""Number of the specification's frame (right, up, back). PLY's, RDF (right, down, front), is 6; 0 says nothing."""
-
 _DIRECTIONS = {"L": (-1, 0, 0), "R": (1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
 _NAMES = "RUB LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU"
-"""Frames by number, as nianticlabs/spz numbers them; 0, unspecified, falls back to RUB there too."""
+"""Frames by number, as nianticlabs/spz numbers them: 4, RUB, is the specification's, 6, RDF, that of PLY; 0,
+unspecified, falls back to RUB there too."""
 
 _QUARTER_TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _IRRATIONAL_DIRECTION = np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)  # no basis function vanishes here
@@ -89,11 +87,6 @@ def frame_change(frame: str, extensions: bytes, *, file: str) -> FrameChange:
     if (to_ply == np.diag(np.diag(to_ply))).all():
         return FrameChange(np.diag(to_ply).copy())
     return FrameChange(np.diag(_QUARTER_TURN.T @ to_ply).copy(), _QUARTER_TURN)
-
-
-def coordinate_system_record(number: int) -> bytes:
-    """The extension record that declares a frame."""
-    return struct.pack("<III", COORDINATE_SYSTEM_EXTENSION, 4, number)
 
 
 def other_extensions(extensions: bytes, *, file: str) -> list[str]:

@@ -1,9 +1,7 @@
-"""SPZ (Niantic): versions 1 to 4 are read, 3 and 4 written.
+"""SPZ (Niantic): versions 1 to 4 are read, 3 is written.
 
 Format: nianticlabs/spz, README and src/cc/load-spz.cc.
 """
-
-from typing import Literal
 
 import numpy as np
 
@@ -11,19 +9,9 @@ from engine.errors import InputError
 from engine.formats import modes
 from engine.formats.ply.extras import named
 from engine.formats.repairs import Repair, clean, degree_dropped
-from engine.formats.spz.attributes import (
-    choose_fractional_bits,
-    decode_alphas,
-    decode_colors,
-    decode_first_three,
-    decode_positions,
-    decode_scales,
-    decode_sh,
-    decode_smallest_three,
-    encode_all,
-)
+from engine.formats.spz import attributes
 from engine.formats.spz.container import ANTIALIASED, Header, pack, unpack
-from engine.formats.spz.frames import RUB, SPECIFICATION, coordinate_system_record, frame_change, other_extensions
+from engine.formats.spz.frames import SPECIFICATION, frame_change, other_extensions
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 
@@ -46,13 +34,15 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     if header.version == 1:
         means = np.frombuffer(positions, dtype="<f2").astype(np.float32).reshape(-1, 3)
     else:
-        means = decode_positions(positions, header.fractional_bits)
-    quats = decode_first_three(rotations) if header.version < 3 else decode_smallest_three(rotations)
+        means = attributes.decode_positions(positions, header.fractional_bits)
+    quats = (
+        attributes.decode_first_three(rotations) if header.version < 3 else attributes.decode_smallest_three(rotations)
+    )
     sh = np.empty((header.count, (min(header.sh_degree, 3) + 1) ** 2, 3), dtype=np.float32)
-    sh[:, 0] = decode_colors(colors)
-    decode_sh(rest, sh)
+    sh[:, 0] = attributes.decode_colors(colors)
+    attributes.decode_sh(rest, sh)
     change.apply_signs(means, quats, sh)
-    log_scales, logits = decode_scales(scales), decode_alphas(alphas)
+    log_scales, logits = attributes.decode_scales(scales), attributes.decode_alphas(alphas)
     model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="points")
     if header.sh_degree > 3:
         repairs = (degree_dropped(header.sh_degree, header.count), *repairs)
@@ -64,36 +54,19 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     return modes.with_mode(model, modes.ANTIALIASED if header.flags & ANTIALIASED else None), repairs
 
 
-def write_spz(
-    model: GaussianModel,
-    *,
-    version: Literal[3, 4] = 3,
-    sh_bits: tuple[int, int] = (8, 8),
-    fractional_bits: int | None = None,
-) -> bytes:
-    """Write an SPZ file, in the specification's axes (right, up, back); version 4 declares them.
+def write_spz(model: GaussianModel) -> bytes:
+    """Write an SPZ file of version 3 (gzip), which everything reads, in the specification's axes (right, up, back).
 
-    Errors at most, within the ranges: half of 2^-fractional_bits in a centre, 1/32 in a log scale in [-10, 5.94], 1/510
-    in an opacity, 1/76.5 in a DC coefficient in [-3.33, 3.33], 2^-8 in another one with 8 bits, 2^-bits + 2^-8 with
-    fewer, 0.0007 in each of the three smaller components of a quaternion.
+    Errors at most, within the ranges: half a step in a centre (1/4096, or what the scene's size asks for), 1/32 in a
+    log scale in [-10, 5.94], 1/510 in an opacity, 1/76.5 in a DC coefficient in [-3.33, 3.33], 2^-8 in another one in
+    [-1, 127/128], 0.0007 in each of the three smaller components of a quaternion.
 
-    Version 3 (gzip) is what everything reads; 4 (zstd) packs in half the time. `sh_bits`, 1 to 8 each, are those of
-    spherical harmonics of degree 1, and of degrees 2 and 3, clipped to [-1, 127/128]; the reference's (5, 4) take a
-    third of the size for 8 and 16 times the error. `fractional_bits`, 0 to 24, are the binary places of a position: 12,
-    as the reference, or what the scene's size asks for.
-
-    InputError if an argument is out of its range, or a centre does not fit into 24 bits with that many binary places.
+    InputError if a centre does not fit into 24 bits.
     """
-    if version not in (3, 4):
-        raise InputError(f"SPZ version is {version}, written are 3 and 4")
-    if len(sh_bits) != 2 or not all(1 <= bits <= 8 for bits in sh_bits):
-        raise InputError(f"sh_bits is {sh_bits}, expected two numbers from 1 to 8")
-    places = choose_fractional_bits(model.means) if fractional_bits is None else fractional_bits
-    if not 0 <= places <= 24:
-        raise InputError(f"fractional_bits is {places}, expected 0 to 24")
+    places = attributes.choose_fractional_bits(model.means)
     reach = float(np.abs(model.means).max(initial=0.0))
     if np.rint(reach * 2.0**places) > (1 << 23) - 1:
-        raise InputError(f"a coordinate of {reach:g} does not fit into 24 bits with {places} binary places")
+        raise InputError(f"a coordinate of {reach:g} does not fit into 24 bits")
     change = SPECIFICATION  # its own inverse
     quats = model.quats.copy()
     quats[:, 1:] *= change.quaternion_signs
@@ -101,6 +74,4 @@ def write_spz(
     signs = change.coefficient_signs(model.sh.shape[1])
     arrays = (means, model.log_scales, quats, model.opacities, model.sh)
     flags = ANTIALIASED if modes.mode_of(model) == modes.ANTIALIASED else 0
-    header = Header(version, len(model), model.sh_degree, places, flags)
-    extensions = coordinate_system_record(RUB) if version == 4 else b""
-    return pack(header, encode_all(arrays, places, signs, sh_bits), extensions)
+    return pack(Header(3, len(model), model.sh_degree, places, flags), attributes.encode_all(arrays, places, signs))

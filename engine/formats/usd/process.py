@@ -71,7 +71,10 @@ def _arrays(path: Path) -> Iterator[tuple[str, npt.NDArray[Any]]]:
         prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == SCHEMA]
         shown = [p for p in prims if UsdGeom.Imageable(p).ComputeVisibility() != UsdGeom.Tokens.invisible]
         if not shown:
-            raise UnsupportedFormatError(f"holds no Gaussians: no prim that is shown is a {SCHEMA}")
+            nurec = path.suffix == ".usdz" and any(name.endswith(".nurec") for name in ZipFile(path).namelist())
+            what = "it is a volume of NVIDIA's NuRec: export the scene as .ply (3DGRUT does)"
+            what = what if nurec else f"no prim that is shown is a {SCHEMA}"
+            raise UnsupportedFormatError(f"holds no Gaussians: {what}")
         yield OTHERS, np.array(list(_others(stage, shown)), dtype=np.str_)
         for number, prim in enumerate(shown):
             name = str(prim.GetPath())
