@@ -7,13 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float32, GaussianModel, Int32
-from engine.numerics.chi_square import chi_square_beyond
 from engine.numerics.similarity import quaternion_to_rotation
-from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.numerics.umeyama import Similarity, fit_noisy_source
 from engine.registration.config import CONFIG
-from engine.registration.match_candidates import sample_rows
-from engine.registration.match_classes import Growth, SizedMatcher, growth_in_order
-from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
+from engine.registration.match_classes import SizedMatcher
+from engine.registration.matching import Deviations, Matcher, clipped_at, estimate_deviations
 
 _CONFIG = CONFIG.confirmation
 
@@ -45,17 +43,6 @@ class Verdict:
             rest = suspect if len(left) == len(suspect) else suspect.take(left)
             matches[left], quality[left] = self.matcher.pair(rest, self.fit, self.deviations)
         return matches, quality
-
-
-def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity) -> float:
-    """Log scale in the reference's frame below which sizes were clipped, minus infinity where nothing is lost.
-
-    SPZ holds no log scale below -10 and a scene made small has many: whatever clips them, the suspect's smallest is
-    what is left of all that were smaller.
-    """
-    smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
-    below = float(np.logical_or.reduce((reference.log_scales < smallest).T).mean())
-    return smallest if below > _CONFIG.clipped else -np.inf
 
 
 def confirm_similarity(
@@ -112,11 +99,11 @@ def _refine(
 ) -> tuple[Similarity, Matcher, Deviations] | None:
     """Match, fit and measure errors until these settle; None where too few Gaussians match, or errors get as large as
     the model."""
-    pairs = paired(matcher.match(part, fit, deviations))
+    pairs = matcher.match(part, fit, deviations).pairs
     for _ in range(_CONFIG.rounds):
         if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian support a similarity once
             return None
-        better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
+        better = fit_noisy_source(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
         if better is None:
             return None
         fit = better
@@ -127,22 +114,10 @@ def _refine(
         deviations = measured
         if not settled:
             matcher = Matcher(reference, deviations)
-        pairs = paired(matcher.match(part, fit, deviations))
+        pairs = matcher.match(part, fit, deviations).pairs
         if settled:
             break
     return (fit, matcher, deviations) if len(np.unique(pairs[0])) >= min_matches else None
-
-
-def fit_suspect(
-    suspect: npt.NDArray[Any], reference: npt.NDArray[Any], start: Similarity | None = None
-) -> Similarity | None:
-    """Robust similarity from suspect to reference points, (n, 3) each, or None if it is not determined.
-
-    Fitted the other way round and inverted: the noise is in the suspect, and least squares with noise in the
-    source shrinks the scale (by 1 % for noise of a tenth of the spread).
-    """
-    back = robust_umeyama(reference, suspect, None if start is None else start.inverse())
-    return None if back is None else back.inverse()
 
 
 def _distinguishes(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
@@ -176,97 +151,3 @@ def beats_decoys(
         if explained < factor * by_chance + margin:
             return False
     return True
-
-
-def same_order(
-    reference: GaussianModel, suspect: GaussianModel, floor: Deviations, rng: np.random.Generator
-) -> Verdict | None:
-    """Whether Gaussian i of the suspect is Gaussian i of the reference, however noisy.
-
-    Two scenes sorted along the same space-filling curve agree roughly in position by accident. So the pairs
-    must agree in size, opacity and colour, too, by far better than shuffled pairs do.
-    """
-    rows = sample_rows(len(reference), CONFIG.order.sample, rng)
-    ref, sus = reference.take(rows), suspect.take(rows)
-    fit = fit_suspect(sus.means, ref.means)
-    if fit is None:
-        return None
-    floor = replace(floor, smallest=clipped_at(reference, suspect, fit))
-    deviations = estimate_deviations(reference, suspect, (rows, rows), fit, floor)
-    origin = np.zeros(3)
-    a = joint_vectors(ref, Similarity.identity(), deviations, origin, suspect=False)
-    b = joint_vectors(sus, fit, deviations, origin)
-    right = np.median(np.abs(a - b), axis=0)
-    wrong = np.median(np.abs(a - b[rng.permutation(len(rows))]), axis=0)
-    groups = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10))
-    # 2: a group whose shuffled pairs lie as close as the smallest errors carries no information
-    informative = [float(wrong[g].max()) > 2.0 for g in groups]
-    agrees = [float(right[g].mean()) < 0.5 * float(wrong[g].mean()) for g in groups]
-    looks = [yes for yes, counts in zip(agrees[1:], informative[1:], strict=True) if counts]
-    if not (informative[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
-        return None
-    if _moved_up(reference, suspect, rows) > CONFIG.order.moved_up:
-        return None
-    before = 0
-    for _ in range(CONFIG.order.rounds):
-        agreeing = rows[_order_quality(ref, sus, fit, deviations) > 0]
-        if len(agreeing) in (len(rows), before):
-            break
-        before = len(agreeing)
-        fit = fit_suspect(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
-        deviations = estimate_deviations(reference, suspect, (agreeing, agreeing), fit, floor)
-    growth = growth_in_order(ref, sus, fit, _order_quality(ref, sus, fit, deviations, placed=False) > 0)
-    quality = _order_quality(reference, suspect, fit, deviations, growth)
-    # A file sorted along a curve, and sorted again after it was turned a little, keeps half of its order.
-    strays = float((quality == 0).mean())
-    matcher = None if strays <= CONFIG.order.strays else Matcher(reference, deviations)
-    return Verdict(fit, matcher, deviations, quality)
-
-
-def _moved_up(reference: GaussianModel, suspect: GaussianModel, rows: npt.NDArray[np.int64]) -> float:
-    """Share of rows of which a neighbor in the reference's order looks far more alike than their own partner.
-
-    A file sorted along a curve, and sorted again after every center moved a little, keeps its order but for a few
-    places everywhere: partners then lie near each other and look alike, as a noisy copy's do.
-    """
-    theirs = _own_looks(suspect, rows)
-    apart = np.square(_own_looks(reference, rows) - theirs).sum(axis=1)
-    nearest = np.full(len(rows), np.inf)
-    for step in (*range(-CONFIG.order.reach, 0), *range(1, CONFIG.order.reach + 1)):
-        shifted = rows + step
-        inside = (shifted >= 0) & (shifted < len(reference))
-        gap = np.square(_own_looks(reference, np.where(inside, shifted, 0)) - theirs).sum(axis=1)
-        nearest = np.where(inside, np.minimum(nearest, gap), nearest)
-    return float((nearest < CONFIG.order.far_more_alike * apart).mean())
-
-
-def _own_looks(model: GaussianModel, rows: npt.NDArray[np.int64]) -> Float32:
-    """(n, 7) sorted log scales, opacity logit and DC colors of some rows."""
-    sizes = np.sort(model.log_scales[rows], axis=1)
-    return np.concatenate([sizes, model.opacity_logits[rows, None], model.sh[rows, 0]], axis=1)
-
-
-def _order_quality(
-    reference: GaussianModel,
-    suspect: GaussianModel,
-    fit: Similarity,
-    deviations: Deviations,
-    growth: Growth | None = None,
-    *,
-    placed: bool = True,
-) -> Float32:
-    """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i, by where it lies only if `placed`.
-
-    `growth`: by how much errors of position grow with the Gaussians.
-    """
-    origin = np.zeros(3)
-    a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
-    b = joint_vectors(suspect, fit, deviations, origin)
-    error2 = np.square(a - b)
-    if not placed:
-        error2[:, :3] = 0.0
-    elif growth is not None:
-        error2[:, :3] /= np.square(growth.factors(suspect, fit, deviations))
-    usual, limit = chi_square_beyond(10, 0.5), 4.0 * chi_square_beyond(10, 1e-3)
-    distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
-    return np.asarray(np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32))

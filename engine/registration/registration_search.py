@@ -25,8 +25,8 @@ import numpy as np
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
-from engine.numerics.umeyama import Similarity
-from engine.registration.agreement import Verdict, fit_suspect
+from engine.numerics.umeyama import Similarity, fit_noisy_source
+from engine.registration.agreement import Verdict
 from engine.registration.config import CONFIG
 from engine.registration.deformed import register_deformed, unexplained
 from engine.registration.looks_index import ReferenceIndex
@@ -204,7 +204,7 @@ def _answer(
     fit = verdict.fit
     if verdict.order_quality is None and len(rows) > 3:
         part = rows[:: max(1, len(rows) // CONFIG.fit_sample)]
-        fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
+        fit = fit_noisy_source(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
     share = _found(index.model, matches)
     found = matches, quality, share, True, tried
     return Registration(fit.scale, fit.R, fit.t, *found, mirrored=verdict.mirrored), verdict
@@ -285,7 +285,7 @@ def _bend(
     mirrored = rigid.mirrored != bent.mirrored
     rows = np.flatnonzero(bent.matches >= 0)
     part = rows[:: max(1, len(rows) // CONFIG.fit_sample)]
-    fit = fit_suspect(hands.of(mirrored).means[part], reference.means[bent.matches[part]]) or Similarity.identity()
+    fit = fit_noisy_source(hands.of(mirrored).means[part], reference.means[bent.matches[part]]) or Similarity.identity()
     if not CONFIG.similarity.min_scale <= fit.scale <= CONFIG.similarity.max_scale:
         return rigid
     tried = rigid.hypotheses_tried + bent.tried
