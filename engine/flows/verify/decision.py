@@ -107,17 +107,20 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     layered = layered_z(evidence, signs, tint)
     chosen, layers = only(evidence, layered.strongest, tint), dict(layered.z)
     parts = layer_parts(len(evidence.y), tint)
+    linear = evidence.unsaturated()
+    whole = linear or evidence
+    # That of both together lies between them.
+    worn = max(change(*whole.part(part)) for part in parts.values())
     sums = {name: moments(*evidence.part(part)) for name, part in parts.items()}
     known: Moments | None = (
         reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
     )
     loudest = max(layered.best, z_threshold(rate.doubt_rate, tries))
-    for name, way in _other_ways(reading, evidence, spreading):
+    for name, way in _other_ways(reading, linear, spreading):
         other = layered_z(way, signs, tint)
         layers |= {layer + name: z for layer, z in other.z.items()}
         if other.best > loudest:
             loudest, chosen, known = other.best, only(way, other.strongest, tint), None
-    whole = evidence.unsaturated() or evidence
     circumstances = Circumstances(
         tries=tries,
         route=reading.route,
@@ -126,8 +129,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         transform=_transform(reading.registration),
         notes=(*reading.notes, *_notes(reading)),
         layers=layers if len(layers) > 1 and opened.grain.there else None,
-        # That of both together lies between them.
-        change=max(change(*whole.part(part)) for part in parts.values()),
+        change=worn,
         sums=known,
         copy_z=None if (copy := read_copy(reading, opened)) is None else copy.z,
     )
@@ -137,11 +139,11 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim
 
 
-def _other_ways(reading: Reading, evidence: Evidence, spreading: Spreading) -> Iterator[tuple[str, Evidence]]:
+def _other_ways(reading: Reading, linear: Evidence | None, spreading: Spreading) -> Iterator[tuple[str, Evidence]]:
     """The same suspect read otherwise, each way counted (`search.WAYS`)."""
     if reading.scattered is not None:
         yield SCATTERED, reading.scattered.sized(spreading.sizes)
-    if (linear := evidence.unsaturated()) is not None:
+    if linear is not None:
         yield LINEAR, linear
 
 
