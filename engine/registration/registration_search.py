@@ -7,7 +7,7 @@ The steps, cheapest first; `agreement.confirm_similarity` tests the hypotheses o
 3. search: candidates that look alike, agreement among them, triples (`hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
    without colours, for a recoloured model;
-4. merging: where Gaussians are left over, or none was found, mixtures of the reference's (`merged`);
+4. merging: where Gaussians are left over, or none was found, mixtures of the reference's (`mixtures`);
 5. deformation: where no similarity is the whole story, small patches and what grows from them
    (`deformed`).
 
@@ -31,8 +31,7 @@ from engine.registration.config import CONFIG
 from engine.registration.deformed import register_deformed, unexplained
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_classes import by_size
-from engine.registration.merged import register_merged
-from engine.registration.mixtures import Mixtures
+from engine.registration.mixtures import Mixtures, register_merged
 from engine.registration.similarity_search import BOTH, Hands, axis_rotations, in_order, locate
 from engine.registration.visibility import drawn
 

@@ -16,13 +16,12 @@ from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.numerics.umeyama import Similarity, fit_noisy_source
-from engine.registration.agreement import Verdict, confirm_similarity
+from engine.registration.agreement import Verdict, confirm_similarity, same_order
 from engine.registration.colored_points import are_points, place_points
 from engine.registration.config import CONFIG, Agreement
 from engine.registration.hypotheses import Hypothesis, propose
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
-from engine.registration.row_order import same_order
 
 _CONFIG = CONFIG.similarity
 BOTH = (False, True)

@@ -7,12 +7,12 @@ import pytest
 
 from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
-from engine.registration import agreement, row_order
+from engine.registration import agreement
 from engine.registration import registration_search as registering
+from engine.registration.agreement import growth_in_order, same_order
 from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.registration_search import register
-from engine.registration.row_order import growth_in_order, same_order
 from tests.registration.registration_cases import marked
 from tests.registration.test_classes import shaken, wide
 
@@ -48,7 +48,6 @@ def test_large_ones_are_trusted_and_nothing_is_searched_again(monkeypatch: pytes
 
     monkeypatch.setattr(registering, "by_size", never)
     monkeypatch.setattr(agreement, "Matcher", never)
-    monkeypatch.setattr(row_order, "Matcher", never)
     got = register(model, suspect)
     np.testing.assert_array_equal(got.matches, np.arange(len(model)))
     largest = np.argsort(model.log_scales.max(axis=1))[-len(model) // 100 :]

@@ -6,15 +6,13 @@ their copy layer, too. Before, cells, chips and amplitudes were each copy's own.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.gaussian_evidence import compare_tint, duplicate_weights, read_grain, read_tint
 from engine.flows.verify.search import Reading, Suspect, readings, time_budget
-from engine.model import Float32, GaussianModel
-from engine.registration.registration_search import Registration
+from engine.model import Float32
 from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual
@@ -49,6 +47,7 @@ class Copies:
         self._readings = enumerate(readings(suspect, first, routes, config.seed, clock, time_budget(suspect, config)))
         self._route = -1
         self._tint = first.layout.chips  # of the copy that it is read as
+        self._weights: Float32 | None = None  # of the suspect's Gaussians
         self._compared: dict[int, Residual] = {}  # colours, by the width of the carriers
         self._grain: dict[Grain, Evidence] = {}  # of the Gaussians
         self.reading: Reading
@@ -76,8 +75,11 @@ class Copies:
             pictures = pictures.then(reading.pictures.behind(self._tint))
         if reading.route in ("image", "render"):
             return pictures
-        suspect, registration, weights = self._placed
-        read = suspect, opened, registration, weights
+        assert self._suspect.model is not None
+        assert reading.registration is not None
+        if self._weights is None:
+            self._weights = duplicate_weights(self._suspect.model, reading.registration.matches)
+        read = self._suspect.model, opened, reading.registration, self._weights
         width = opened.layout.width
         if width not in self._compared:
             self._compared = {width: compare_tint(*read)}
@@ -89,11 +91,3 @@ class Copies:
                 self._grain[opened.grain] = read_grain(*read)
             model = model.then(self._grain[opened.grain])
         return model.plus(pictures) if reading.route == "both" else model
-
-    @cached_property
-    def _placed(self) -> tuple[GaussianModel, Registration, Float32]:
-        """The suspect model, where it lies along every route, and what its Gaussians weigh."""
-        model, registration = self._suspect.model, self.reading.registration
-        assert model is not None
-        assert registration is not None
-        return model, registration, duplicate_weights(model, registration.matches)
