@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
-from engine.model import Float32, Int32
+from engine.model import Float32, Int32, Int64
 
 AXES = 5
 """Coordinates under the grid."""
@@ -35,6 +35,12 @@ class Neighbors:
     index: Int32
     distance2: Float32
     probability: Float32
+
+    @property
+    def pairs(self) -> tuple[Int32, Int64]:
+        """Reference point and queried point of each match."""
+        hit = np.flatnonzero(self.index >= 0)
+        return self.index[hit], hit
 
 
 class WhitenedGrid:

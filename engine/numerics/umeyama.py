@@ -88,3 +88,15 @@ def robust_umeyama(
         if moved < 1e-9 * cut:
             break
     return fit
+
+
+def fit_noisy_source(
+    source: npt.NDArray[Any], target: npt.NDArray[Any], start: Similarity | None = None
+) -> Similarity | None:
+    """As `robust_umeyama`, where the noise is in the source.
+
+    Fitted the other way round and inverted: least squares with noise in the source shrinks the scale (by 1 % for noise
+    of a tenth of the spread).
+    """
+    back = robust_umeyama(target, source, None if start is None else start.inverse())
+    return None if back is None else back.inverse()

@@ -6,14 +6,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.model import Float32, GaussianModel, Int32
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 from engine.numerics.chi_square import chi_square_beyond
 from engine.numerics.similarity import quaternion_to_rotation
-from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.numerics.umeyama import Similarity, fit_noisy_source
 from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
-from engine.registration.match_classes import Growth, SizedMatcher, growth_in_order
-from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
+from engine.registration.match_classes import SizedMatcher
+from engine.registration.matching import (
+    HARD,
+    Deviations,
+    Matcher,
+    clipped_at,
+    estimate_deviations,
+    joint_pairs,
+    log_sizes,
+)
 
 _CONFIG = CONFIG.confirmation
 
@@ -45,17 +53,6 @@ class Verdict:
             rest = suspect if len(left) == len(suspect) else suspect.take(left)
             matches[left], quality[left] = self.matcher.pair(rest, self.fit, self.deviations)
         return matches, quality
-
-
-def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity) -> float:
-    """Log scale in the reference's frame below which sizes were clipped, minus infinity where nothing is lost.
-
-    SPZ holds no log scale below -10 and a scene made small has many: whatever clips them, the suspect's smallest is
-    what is left of all that were smaller.
-    """
-    smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
-    below = float(np.logical_or.reduce((reference.log_scales < smallest).T).mean())
-    return smallest if below > _CONFIG.clipped else -np.inf
 
 
 def confirm_similarity(
@@ -112,11 +109,11 @@ def _refine(
 ) -> tuple[Similarity, Matcher, Deviations] | None:
     """Match, fit and measure errors until these settle; None where too few Gaussians match, or errors get as large as
     the model."""
-    pairs = paired(matcher.match(part, fit, deviations))
+    pairs = matcher.match(part, fit, deviations).pairs
     for _ in range(_CONFIG.rounds):
         if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian support a similarity once
             return None
-        better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
+        better = fit_noisy_source(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
         if better is None:
             return None
         fit = better
@@ -127,22 +124,10 @@ def _refine(
         deviations = measured
         if not settled:
             matcher = Matcher(reference, deviations)
-        pairs = paired(matcher.match(part, fit, deviations))
+        pairs = matcher.match(part, fit, deviations).pairs
         if settled:
             break
     return (fit, matcher, deviations) if len(np.unique(pairs[0])) >= min_matches else None
-
-
-def fit_suspect(
-    suspect: npt.NDArray[Any], reference: npt.NDArray[Any], start: Similarity | None = None
-) -> Similarity | None:
-    """Robust similarity from suspect to reference points, (n, 3) each, or None if it is not determined.
-
-    Fitted the other way round and inverted: the noise is in the suspect, and least squares with noise in the
-    source shrinks the scale (by 1 % for noise of a tenth of the spread).
-    """
-    back = robust_umeyama(reference, suspect, None if start is None else start.inverse())
-    return None if back is None else back.inverse()
 
 
 def _distinguishes(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
@@ -178,6 +163,39 @@ def beats_decoys(
     return True
 
 
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """By how much errors of position grow with the Gaussians: `edges` (K - 1,) log sizes between classes, `parts` (K,)
+    of its own size by which a Gaussian of each is off."""
+
+    edges: Float64
+    parts: Float64
+
+    def factors(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> Float32:
+        """(n, 3) what the usual errors of position are to be multiplied with, 1 or more."""
+        sizes = log_sizes(suspect, fit)
+        own = self.parts[np.searchsorted(self.edges, sizes)] * np.exp(sizes)
+        return np.asarray(np.maximum(own[:, None] / deviations.position, 1.0).astype(np.float32))
+
+
+def growth_in_order(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, alike: Bool) -> Growth:
+    """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
+
+    Only pairs within `own_size` count: a row that looks like its partner elsewhere is another Gaussian.
+    """
+    sizes = log_sizes(suspect, fit)
+    error = np.abs(fit.apply(suspect.means) - reference.means) / np.exp(sizes)[:, None]
+    near = alike & (error <= CONFIG.classes.own_size).all(axis=1)
+    edges = np.quantile(sizes, np.arange(1, CONFIG.classes.count) / CONFIG.classes.count)
+    home = np.searchsorted(edges, sizes)
+    parts = np.zeros(CONFIG.classes.count)
+    for number in range(CONFIG.classes.count):
+        mine = error[near & (home == number)]
+        if len(mine) >= CONFIG.classes.least_pairs:
+            parts[number] = float(np.quantile(mine, 0.9, axis=0).max()) / 1.645
+    return Growth(edges, parts)
+
+
 def same_order(
     reference: GaussianModel, suspect: GaussianModel, floor: Deviations, rng: np.random.Generator
 ) -> Verdict | None:
@@ -188,14 +206,12 @@ def same_order(
     """
     rows = sample_rows(len(reference), CONFIG.order.sample, rng)
     ref, sus = reference.take(rows), suspect.take(rows)
-    fit = fit_suspect(sus.means, ref.means)
+    fit = fit_noisy_source(sus.means, ref.means)
     if fit is None:
         return None
     floor = replace(floor, smallest=clipped_at(reference, suspect, fit))
     deviations = estimate_deviations(reference, suspect, (rows, rows), fit, floor)
-    origin = np.zeros(3)
-    a = joint_vectors(ref, Similarity.identity(), deviations, origin, suspect=False)
-    b = joint_vectors(sus, fit, deviations, origin)
+    a, b = joint_pairs(ref, sus, fit, deviations)
     right = np.median(np.abs(a - b), axis=0)
     wrong = np.median(np.abs(a - b[rng.permutation(len(rows))]), axis=0)
     groups = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10))
@@ -213,7 +229,7 @@ def same_order(
         if len(agreeing) in (len(rows), before):
             break
         before = len(agreeing)
-        fit = fit_suspect(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
+        fit = fit_noisy_source(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
         deviations = estimate_deviations(reference, suspect, (agreeing, agreeing), fit, floor)
     growth = growth_in_order(ref, sus, fit, _order_quality(ref, sus, fit, deviations, placed=False) > 0)
     quality = _order_quality(reference, suspect, fit, deviations, growth)
@@ -259,9 +275,7 @@ def _order_quality(
 
     `growth`: by how much errors of position grow with the Gaussians.
     """
-    origin = np.zeros(3)
-    a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
-    b = joint_vectors(suspect, fit, deviations, origin)
+    a, b = joint_pairs(reference, suspect, fit, deviations)
     error2 = np.square(a - b)
     if not placed:
         error2[:, :3] = 0.0

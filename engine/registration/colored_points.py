@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from engine.model import SH_C0, Float64, GaussianModel
 from engine.numerics.similarity import MIRROR
-from engine.numerics.umeyama import Similarity, robust_umeyama, umeyama
+from engine.numerics.umeyama import Similarity, fit_noisy_source, umeyama
 from engine.registration.config import CONFIG
 
 _CONFIG = CONFIG.points
@@ -45,10 +45,9 @@ def place_points(
         good = np.isfinite(apart)
         if np.count_nonzero(good) < _CONFIG.least:
             return None
-        better = robust_umeyama(own[near[good]], theirs[rows[good]], fit.inverse())
-        if better is None:
+        fit = fit_noisy_source(theirs[rows[good]], own[near[good]], start=fit)
+        if fit is None:
             return None
-        fit = better.inverse()
     return fit, (near[good].astype(np.int64), rows[good].astype(np.int64))
 
 

@@ -21,7 +21,7 @@ from engine.numerics.umeyama import Similarity
 from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
-from engine.registration.matching import Deviations, Matcher, estimate_wide, paired
+from engine.registration.matching import Deviations, Matcher, estimate_wide
 from engine.registration.patches import Affine, Patch, blend, find_patches, fit_affine, unturned, warped
 
 
@@ -101,7 +101,7 @@ def grow(
             break
         last = len(sure)
         fitted = explained
-    measured = _measure(reference, moved, paired(neighbors), floor)
+    measured = _measure(reference, moved, neighbors.pairs, floor)
     return Field(nodes, maps, explained, Matcher(reference, measured), measured, rounds)
 
 

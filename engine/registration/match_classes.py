@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
+from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.registration.config import CONFIG
 from engine.registration.match_candidates import sample_rows
-from engine.registration.matching import Deviations, Matcher, estimate_wide, paired
+from engine.registration.matching import Deviations, Matcher, estimate_wide, log_sizes
 
 _CONFIG = CONFIG.classes
 
@@ -30,45 +30,12 @@ class SizedMatcher:
     def pair(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> tuple[Int32, Float32]:
         """As `Matcher.pair`; of the deviations only the colour change is used."""
         matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
-        home = np.searchsorted(self.edges, _sizes(suspect) + np.log(fit.scale))
+        home = np.searchsorted(self.edges, log_sizes(suspect, fit))
         for number, (rows, matcher) in enumerate(zip(self.rows, self.matchers, strict=True)):
             mine = np.flatnonzero(home == number)
             found, quality[mine] = matcher.pair(suspect.take(mine), fit, deviations)
             matches[mine] = np.where(found >= 0, rows[found], -1)
         return matches, quality
-
-
-@dataclass(frozen=True, eq=False)
-class Growth:
-    """By how much errors of position grow with the Gaussians: `edges` (K - 1,) log sizes between classes, `parts` (K,)
-    of its own size by which a Gaussian of each is off."""
-
-    edges: Float64
-    parts: Float64
-
-    def factors(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> Float32:
-        """(n, 3) what the usual errors of position are to be multiplied with, 1 or more."""
-        sizes = _sizes(suspect) + np.log(fit.scale)
-        own = self.parts[np.searchsorted(self.edges, sizes)] * np.exp(sizes)
-        return np.asarray(np.maximum(own[:, None] / deviations.position, 1.0).astype(np.float32))
-
-
-def growth_in_order(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, alike: Bool) -> Growth:
-    """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
-
-    Only pairs within `own_size` count: a row that looks like its partner elsewhere is another Gaussian.
-    """
-    sizes = _sizes(suspect) + np.log(fit.scale)
-    error = np.abs(fit.apply(suspect.means) - reference.means) / np.exp(sizes)[:, None]
-    near = alike & (error <= _CONFIG.own_size).all(axis=1)
-    edges = np.quantile(sizes, np.arange(1, _CONFIG.count) / _CONFIG.count)
-    home = np.searchsorted(edges, sizes)
-    parts = np.zeros(_CONFIG.count)
-    for number in range(_CONFIG.count):
-        mine = error[near & (home == number)]
-        if len(mine) >= _CONFIG.least_pairs:
-            parts[number] = float(np.quantile(mine, 0.9, axis=0).max()) / 1.645
-    return Growth(edges, parts)
 
 
 def by_size(
@@ -86,7 +53,7 @@ def by_size(
 
     `floor` are the errors below which nothing is measured; `in_order`: row for row the partners are known.
     """
-    own, theirs = _sizes(reference), _sizes(suspect) + np.log(fit.scale)
+    own, theirs = log_sizes(reference, Similarity.identity()), log_sizes(suspect, fit)
     edges = np.quantile(theirs, np.arange(1, _CONFIG.count) / _CONFIG.count)
     home = np.searchsorted(edges, theirs)
     margin = 3.0 * float(deviations.size[2])
@@ -127,7 +94,7 @@ def _learn(
     limit = _limit(part, fit)
     deviations = start
     for _ in range(_CONFIG.rounds):
-        pairs = paired(Matcher(reference, deviations).match(part, fit, deviations))
+        pairs = Matcher(reference, deviations).match(part, fit, deviations).pairs
         if len(np.unique(pairs[0])) < _CONFIG.least_pairs:
             return None
         measured = estimate_wide(reference, part, pairs, fit, floor)
@@ -153,9 +120,4 @@ def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, flo
 
 def _limit(part: GaussianModel, fit: Similarity) -> float:
     """The largest error that is believed."""
-    return _CONFIG.own_size * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
-
-
-def _sizes(model: GaussianModel) -> Float64:
-    """(N,) log of the largest scale."""
-    return np.asarray(model.log_scales.max(axis=1).astype(np.float64))
+    return _CONFIG.own_size * float(np.exp(np.median(log_sizes(part, Similarity.identity())) + np.log(fit.scale)))

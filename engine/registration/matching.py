@@ -135,6 +135,31 @@ def joint_vectors(
     return vectors
 
 
+def joint_pairs(
+    reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations
+) -> tuple[Float32, Float32]:
+    """`joint_vectors` of Gaussians that are each other's partners, row for row."""
+    origin = np.zeros(3)
+    own = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
+    return own, joint_vectors(suspect, fit, deviations, origin)
+
+
+def log_sizes(suspect: GaussianModel, fit: Similarity) -> Float64:
+    """(M,) log of the largest scale, in the reference's frame."""
+    return np.asarray(suspect.log_scales.max(axis=1).astype(np.float64) + np.log(fit.scale))
+
+
+def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity) -> float:
+    """Log scale in the reference's frame below which sizes were clipped, minus infinity where nothing is lost.
+
+    SPZ holds no log scale below -10 and a scene made small has many: whatever clips them, the suspect's smallest is
+    what is left of all that were smaller.
+    """
+    smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
+    below = float(np.logical_or.reduce((reference.log_scales < smallest).T).mean())
+    return smallest if below > CONFIG.confirmation.clipped else -np.inf
+
+
 def turned_quats(quats: Float32, fit: Similarity) -> Float32:
     """Quaternions in the reference's frame, float32."""
     if np.array_equal(fit.R, np.eye(3)):
@@ -205,9 +230,7 @@ def estimate_deviations(
     """Robust errors of matched pairs (reference and suspect index, most of them right), nothing below `floor`."""
     unit = Deviations(np.ones(3), np.ones(3), 1.0, np.ones(3), 1.0, np.ones(3), np.zeros(3), floor.smallest)
     ref, sus = reference.take(pairs[0]), suspect.take(pairs[1])
-    origin = np.zeros(3)
-    a = joint_vectors(ref, Similarity.identity(), unit, origin, suspect=False).astype(np.float64)
-    b = joint_vectors(sus, fit, unit, origin).astype(np.float64)
+    a, b = (vectors.astype(np.float64) for vectors in joint_pairs(ref, sus, fit, unit))
     gain, offset = _tint(b[:, 7:], a[:, 7:])
     b[:, 7:] = gain * b[:, 7:] + offset
     sigma = np.maximum(1.4826 * np.median(np.abs(a - b), axis=0), floor.sigmas)
@@ -266,9 +289,3 @@ def _tint(suspect: Float64, reference: Float64) -> tuple[Float64, Float64]:
         if 0.2 < slope < 5.0 and tinted < 0.7 * plain and plain > 0.01:
             gain[c], offset[c] = slope, level
     return gain, offset
-
-
-def paired(neighbors: Neighbors) -> tuple[Int32, npt.NDArray[np.int64]]:
-    """Reference and suspect index of the matched Gaussians."""
-    hit = np.flatnonzero(neighbors.index >= 0)
-    return neighbors.index[hit], hit

@@ -26,7 +26,7 @@ from engine.numerics.similarity import quaternion_to_rotation
 from engine.numerics.umeyama import Similarity
 from engine.registration.agreement import beats_decoys
 from engine.registration.config import CONFIG
-from engine.registration.matching import DC_CLIP, Deviations, Matcher, estimate_deviations, paired
+from engine.registration.matching import DC_CLIP, Deviations, Matcher, estimate_deviations
 
 _CONFIG = CONFIG.patches
 
@@ -291,7 +291,7 @@ def _verify(
         moved = warped(part, np.broadcast_to(map_, (len(rows), 3, 4)))
         deviations = unturned(estimate_deviations(nearby, moved, pairs, same, floor))
         matcher = Matcher(nearby, deviations)
-        hit = paired(matcher.match(moved, same, deviations))
+        hit = matcher.match(moved, same, deviations).pairs
         pairs = (hit[0].astype(np.int64), hit[1])
         if len(np.unique(pairs[0])) < max(_CONFIG.least_pairs, _CONFIG.least_share * len(rows)):
             return None

@@ -7,7 +7,7 @@ The steps, cheapest first; `agreement.confirm_similarity` tests the hypotheses o
 3. search: candidates that look alike, agreement among them, triples (`hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
    without colours, for a recoloured model;
-4. merging: where Gaussians are left over, or none was found, mixtures of the reference's (`merged`);
+4. merging: where Gaussians are left over, or none was found, mixtures of the reference's (`mixtures`);
 5. deformation: where no similarity is the whole story, small patches and what grows from them
    (`deformed`).
 
@@ -25,14 +25,13 @@ import numpy as np
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
-from engine.numerics.umeyama import Similarity
-from engine.registration.agreement import Verdict, fit_suspect
+from engine.numerics.umeyama import Similarity, fit_noisy_source
+from engine.registration.agreement import Verdict
 from engine.registration.config import CONFIG
 from engine.registration.deformed import register_deformed, unexplained
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_classes import by_size
-from engine.registration.merged import register_merged
-from engine.registration.mixtures import Mixtures
+from engine.registration.mixtures import Mixtures, register_merged
 from engine.registration.similarity_search import BOTH, Hands, axis_rotations, in_order, locate
 from engine.registration.visibility import drawn
 
@@ -204,7 +203,7 @@ def _answer(
     fit = verdict.fit
     if verdict.order_quality is None and len(rows) > 3:
         part = rows[:: max(1, len(rows) // CONFIG.fit_sample)]
-        fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
+        fit = fit_noisy_source(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
     share = _found(index.model, matches)
     found = matches, quality, share, True, tried
     return Registration(fit.scale, fit.R, fit.t, *found, mirrored=verdict.mirrored), verdict
@@ -285,7 +284,7 @@ def _bend(
     mirrored = rigid.mirrored != bent.mirrored
     rows = np.flatnonzero(bent.matches >= 0)
     part = rows[:: max(1, len(rows) // CONFIG.fit_sample)]
-    fit = fit_suspect(hands.of(mirrored).means[part], reference.means[bent.matches[part]]) or Similarity.identity()
+    fit = fit_noisy_source(hands.of(mirrored).means[part], reference.means[bent.matches[part]]) or Similarity.identity()
     if not CONFIG.similarity.min_scale <= fit.scale <= CONFIG.similarity.max_scale:
         return rigid
     tried = rigid.hypotheses_tried + bent.tried

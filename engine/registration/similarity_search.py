@@ -15,8 +15,8 @@ import numpy.typing as npt
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
-from engine.numerics.umeyama import Similarity
-from engine.registration.agreement import Verdict, confirm_similarity, fit_suspect, same_order
+from engine.numerics.umeyama import Similarity, fit_noisy_source
+from engine.registration.agreement import Verdict, confirm_similarity, same_order
 from engine.registration.colored_points import are_points, place_points
 from engine.registration.config import CONFIG, Agreement
 from engine.registration.hypotheses import Hypothesis, propose
@@ -73,7 +73,7 @@ def locate(
             return verdict, tried
     verdict, count = _same_frame(index, hands, hands_searched, rng)
     tried += count
-    if verdict is None and are_points(hands.suspect):
+    if verdict is None:
         verdict, count = _by_points(index, hands, hands_searched, rng)
         tried += count
     if verdict is None:
@@ -100,7 +100,7 @@ def _nearer_hand(
     errors = []
     for mirrored in hands_searched:
         points = source * MIRROR if mirrored else source
-        fit = fit_suspect(points, target)
+        fit = fit_noisy_source(points, target)
         gap = np.inf if fit is None else float(np.median(np.linalg.norm(fit.apply(points) - target, axis=1)))
         errors.append(gap)
     return hands_searched[int(np.argmin(errors))]
@@ -142,6 +142,8 @@ def _by_points(
     index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
 ) -> tuple[Verdict | None, int]:
     """Step 3 for a cloud of colored points, which have no looks of their own."""
+    if not are_points(hands.suspect):
+        return None, 0
     for tried, mirrored in enumerate(hands_searched, start=1):
         placed = place_points(index.model, hands.suspect, mirrored, rng)
         verdict = None if placed is None else _confirm(index, hands, mirrored, *placed, rng)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify import suspect_evidence
+from engine.flows.verify import reference_views
 from engine.flows.verify.search import Verification, verify_images
 from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.evaluate.bench.attacks import to_8_bit
@@ -73,7 +73,7 @@ def test_a_blurred_picture_claims_by_itself(
     assert any(note.startswith("blurred: picture 1") for note in read.claim.notes)
     assert read.cameras[0] is not None
     assert reprojection(with_landmarks.reference, camera, read.cameras[0]) < 0.25
-    monkeypatch.setattr(suspect_evidence, "find_blur", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_blur", lambda *_: None)
     before = verify_images([blur(sharp, strength)], with_landmarks, cameras=[camera])
     assert read.claim.z > 1.5 * before.claim.z
 
@@ -96,7 +96,7 @@ def test_what_is_not_blurred_is_read_as_before(
 ) -> None:
     pictures = [to_8_bit(sharp), jpeg(sharp, 10)]
     now = [known(picture, scene.opened, camera) for picture in pictures]
-    monkeypatch.setattr(suspect_evidence, "find_blur", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_blur", lambda *_: None)
     for picture, one in zip(pictures, now, strict=True):
         assert one.evidence.y.tobytes() == known(picture, scene.opened, camera).evidence.y.tobytes()
         assert one.claim.notes == ()
@@ -109,7 +109,7 @@ def test_a_blurred_jpeg_is_read_through_its_coder_and_its_blur(
     picture, views = jpeg(defocused(sharp, 3.0), 75), [camera] if cameras == "known" else None
     read = verify_images([picture], with_landmarks, cameras=views).claim
     assert read.z > 0.9 * known(picture, with_landmarks, camera).claim.z
-    monkeypatch.setattr(suspect_evidence, "find_blur", lambda *_: None)
+    monkeypatch.setattr(reference_views, "find_blur", lambda *_: None)
     assert read.z > 1.5 * known(picture, with_landmarks, camera).claim.z
 
 

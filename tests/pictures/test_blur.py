@@ -45,6 +45,7 @@ def hook() -> np.ndarray:
 
 
 KERNELS = {f"line {length}, {angle}": line(length, angle) for length in (5, 10, 15) for angle in (0, 30, 90, 135)} | {
+    "spot 0.7": spot(0.7),
     "spot 1.2": spot(1.2),
     "spot 2": spot(2.0),
     "spot 3": spot(3.0),
@@ -79,7 +80,9 @@ def missed(found: Blur, sharp: np.ndarray, true: np.ndarray) -> float:
     return off[0] / off[1]
 
 
-@pytest.mark.parametrize("name", few(["line 5, 0", "line 10, 135", "line 15, 30", "spot 1.2", "hook"], KERNELS))
+@pytest.mark.parametrize(
+    "name", few(["spot 0.7", "line 5, 0", "line 10, 135", "line 15, 30", "spot 1.2", "hook"], KERNELS)
+)
 def test_a_known_blur_is_found(name: str) -> None:
     """Under a gain and an offset, with a mark of 46 dB on the picture, which is noise to it."""
     true, sharp = KERNELS[name], picture(3, SIDE)
@@ -89,7 +92,7 @@ def test_a_known_blur_is_found(name: str) -> None:
     assert found is not None
     assert found.kernel.sum() == pytest.approx(1.0, abs=1e-4)
     assert moments(kernel_of(found)) == pytest.approx(moments(true), rel=0.05, abs=0.25)
-    assert missed(found, sharp, true) < 0.06
+    assert missed(found, sharp, true) < (0.12 if name == "spot 0.7" else 0.06), "of which the sharp one misses less"
 
 
 @pytest.mark.parametrize("name", ["none", "jpeg10", "jpeg50", "noise 0.1", "brightness 0.5", "brightness 1.5"])

@@ -9,10 +9,9 @@ from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.registration import agreement
 from engine.registration import registration_search as registering
-from engine.registration.agreement import same_order
+from engine.registration.agreement import growth_in_order, same_order
 from engine.registration.config import CONFIG
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.match_classes import growth_in_order
 from engine.registration.registration_search import register
 from tests.registration.registration_cases import marked
 from tests.registration.test_classes import shaken, wide

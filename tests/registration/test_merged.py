@@ -14,8 +14,7 @@ from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
 from engine.registration.looks_index import ReferenceIndex
-from engine.registration.merged import _by_axes, _evidence, register_merged
-from engine.registration.mixtures import Parts, Wholes
+from engine.registration.mixtures import Parts, Wholes, _by_axes, _evidence, register_merged
 from engine.registration.registration_search import Registration, RegistrationConfig, register
 from tests.registration.registration_cases import MOVES
 

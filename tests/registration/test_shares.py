@@ -11,7 +11,7 @@ import pytest
 
 from engine.formats import read_model, write_model
 from engine.model import ATTRIBUTES, GaussianModel
-from engine.registration.agreement import clipped_at
+from engine.registration.matching import clipped_at
 from engine.registration.registration_search import RegistrationConfig, register
 from tests.parameters import few
 from tests.registration.outside_tools import along_a_curve, moved_elsewhere, resaved

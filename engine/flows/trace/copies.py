@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
-from engine.flows.verify.gaussian_evidence import compare_tint, read_grain, read_tint
+from engine.flows.verify.gaussian_evidence import compare_tint, duplicate_weights, read_grain, read_tint
 from engine.flows.verify.search import Reading, Suspect, readings, time_budget
+from engine.model import Float32
 from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
 from engine.watermark.model_evidence import Evidence, Residual
@@ -46,6 +47,7 @@ class Copies:
         self._readings = enumerate(readings(suspect, first, routes, config.seed, clock, time_budget(suspect, config)))
         self._route = -1
         self._tint = first.layout.chips  # of the copy that it is read as
+        self._weights: Float32 | None = None  # of the suspect's Gaussians
         self._compared: dict[int, Residual] = {}  # colours, by the width of the carriers
         self._grain: dict[Grain, Evidence] = {}  # of the Gaussians
         self.reading: Reading
@@ -75,7 +77,9 @@ class Copies:
             return pictures
         assert self._suspect.model is not None
         assert reading.registration is not None
-        read = self._suspect.model, opened, reading.registration
+        if self._weights is None:
+            self._weights = duplicate_weights(self._suspect.model, reading.registration.matches)
+        read = self._suspect.model, opened, reading.registration, self._weights
         width = opened.layout.width
         if width not in self._compared:
             self._compared = {width: compare_tint(*read)}

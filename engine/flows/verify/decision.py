@@ -26,7 +26,6 @@ from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import adaptive_weights, decode_paper
 from engine.watermark.power import Moments, change, moments
 from engine.watermark.rates import AppliedRate, Attested, applicable_rate
-from engine.watermark.spreading import Spreading
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
 
 OUT_OF_TIME = "the time budget ended the search: with a larger one the suspect is read in full"
@@ -107,17 +106,22 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     layered = layered_z(evidence, signs, tint)
     chosen, layers = only(evidence, layered.strongest, tint), dict(layered.z)
     parts = layer_parts(len(evidence.y), tint)
+    linear = evidence.unsaturated()
+    # That of both together lies between them.
+    worn = max(change(*(linear or evidence).part(part)) for part in parts.values())
     sums = {name: moments(*evidence.part(part)) for name, part in parts.items()}
     known: Moments | None = (
         reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
     )
     loudest = max(layered.best, z_threshold(rate.doubt_rate, tries))
-    for name, way in _other_ways(reading, evidence, spreading):
+    scattered = None if reading.scattered is None else reading.scattered.sized(spreading.sizes)
+    for name, way in ((SCATTERED, scattered), (LINEAR, linear)):  # each counted (`search.WAYS`)
+        if way is None:
+            continue
         other = layered_z(way, signs, tint)
         layers |= {layer + name: z for layer, z in other.z.items()}
         if other.best > loudest:
             loudest, chosen, known = other.best, only(way, other.strongest, tint), None
-    whole = evidence.unsaturated() or evidence
     circumstances = Circumstances(
         tries=tries,
         route=reading.route,
@@ -126,8 +130,7 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
         transform=_transform(reading.registration),
         notes=(*reading.notes, *_notes(reading)),
         layers=layers if len(layers) > 1 and opened.grain.there else None,
-        # That of both together lies between them.
-        change=max(change(*whole.part(part)) for part in parts.values()),
+        change=worn,
         sums=known,
         copy_z=None if (copy := read_copy(reading, opened)) is None else copy.z,
     )
@@ -135,14 +138,6 @@ def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: i
     if reading.left_out and claim.verdict is Verdict.NOT_MARKED:  # what was not read may hold it
         claim = replace(claim, verdict=Verdict.INCONCLUSIVE, missing=OUT_OF_TIME)
     return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim
-
-
-def _other_ways(reading: Reading, evidence: Evidence, spreading: Spreading) -> Iterator[tuple[str, Evidence]]:
-    """The same suspect read otherwise, each way counted (`search.WAYS`)."""
-    if reading.scattered is not None:
-        yield SCATTERED, reading.scattered.sized(spreading.sizes)
-    if (linear := evidence.unsaturated()) is not None:
-        yield LINEAR, linear
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,10 @@ def read_layers(
     suspect: GaussianModel, opened: OpenedRecord, registration: Registration
 ) -> tuple[Evidence, Evidence | None]:
     """Of the layer that carries the claim, as `read_gaussians`; and of the copy layer, where the record has one."""
-    compared = compare_tint(suspect, opened, registration)
+    weights = duplicate_weights(suspect, registration.matches)
+    compared = compare_tint(suspect, opened, registration, weights)
     tint = read_tint(opened, compared)
-    grain = read_grain(suspect, opened, registration) if opened.grain.there else None
+    grain = read_grain(suspect, opened, registration, weights) if opened.grain.there else None
     return tint if grain is None else tint.then(grain), copy_of_gaussians(opened, compared, grain)
 
 
@@ -67,13 +68,16 @@ def read_tint(opened: OpenedRecord, compared: Residual) -> Evidence:
     return replace(tint, signal=opened.strength * tint.signal)
 
 
-def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Residual:
-    """How far the suspect's colours lie from the reference's: copies with carriers of one width share it."""
+def compare_tint(
+    suspect: GaussianModel, opened: OpenedRecord, registration: Registration, weights: Float32
+) -> Residual:
+    """How far the suspect's colours lie from the reference's: copies with carriers of one width share it. `weights`
+    (M,) are those of `duplicate_weights`."""
     seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC does not depend on the direction
     reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
     width = min(opened.layout.width, colors.shape[1])
     mixtures = registration.mixtures
-    mixtures = replace(mixtures, quality=mixtures.quality * duplicate_weights(suspect, registration.matches))
+    mixtures = replace(mixtures, quality=mixtures.quality * weights)
     return compare_colors(reference[:, :width], colors[:, :width], mixtures)
 
 
@@ -92,10 +96,10 @@ def duplicate_weights(suspect: GaussianModel, matches: Int32) -> Float32:
     return weights
 
 
-def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """What the suspect's centres and sizes say, for all copies of an asset."""
+def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, weights: Float32) -> Evidence:
+    """What the suspect's centres and sizes say, for all copies of an asset; `weights` as for `compare_tint`."""
     seen = mirror_model(suspect) if registration.mirrored else suspect
-    pairs = registration.matches, registration.match_quality * duplicate_weights(suspect, registration.matches)
+    pairs = registration.matches, registration.match_quality * weights
     return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
 
 

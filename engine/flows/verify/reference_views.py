@@ -11,10 +11,11 @@ from engine.flows.views.camera_rig import measure_extent
 from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.numerics.spherical_harmonics import sh_basis
-from engine.pictures.alignment.blur import Blur
+from engine.pictures.alignment.blur import Blur, find_blur
 from engine.pictures.alignment.color_change import Alike, ColorChange, Misfit, Neighborhoods, find_color_change
 from engine.pictures.alignment.config import CONFIG
 from engine.pictures.alignment.tone_and_light import ViewerTone, find_viewer_tone
+from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, Rendering, View, draw, prepare_view, sh_colors
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.grain_pictures import GrainView
@@ -107,8 +108,12 @@ class ReferenceView:
     tone: ViewerTone | None = None  # that the Gaussians' colors went through,
     steep: Float32 | None = None  # and its slope (N, 3) at them
 
-    def blurred(self, blur: Blur) -> "ReferenceView":
-        """This sharp view as a picture shows it that was blurred so."""
+    def blurred_as(self, picture: Float32, mask: Bool | None = None) -> "ReferenceView":
+        """This sharp view, blurred as a picture (H, W, 3) in its pixels is, itself where that is sharp; `mask` (H, W)
+        as of `find_blur`."""
+        blur = find_blur(luma(self.plain), self.alpha, luma(picture), mask)
+        if blur is None:
+            return self
         plain, alpha, mark = (blur.apply(image) for image in (self.plain, self.alpha, self.mark))
         return replace(self, plain=plain, alpha=alpha, mark=mark, blur=blur)
 

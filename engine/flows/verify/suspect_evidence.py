@@ -23,7 +23,7 @@ from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.numerics.time_budget import UNLIMITED, TimeBudget
 from engine.pictures.alignment.background import Background, find_background
-from engine.pictures.alignment.blur import Blur, find_blur
+from engine.pictures.alignment.blur import Blur
 from engine.pictures.alignment.color_change import Alike, ColorChange, ColorSmoothing
 from engine.pictures.alignment.local_flow import align_locally
 from engine.pictures.alignment.planar import (
@@ -95,31 +95,26 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> Rea
     alignment = align_either_hand(view.plain, image)
     if alignment is None:
         return None
-    laid, face = _Laid(view, alignment, None), alignment.suspect
-    blur = find_blur(luma(view.plain), view.alpha, luma(alignment.warped), alignment.mask)
-    if blur is None:
-        laid = _carried(laid, face, reference, RasterSettings(), False)
-    else:
-        view = view.blurred(blur)
+    face, view = alignment.suspect, view.blurred_as(alignment.warped, alignment.mask)
+    if view.blur is not None:
         laid = _Laid(view, align_image(view.plain, face) or alignment, None)
+    else:
+        laid = _carried(_Laid(view, alignment, None), face, reference, RasterSettings(), False)
     laid = laid.washed()
-    return ReadPicture(laid.read(face), alignment.mirrored, blur, laid.view.of.change)
+    return ReadPicture(laid.read(face), alignment.mirrored, view.blur, laid.view.of.change)
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> ReadPicture | None:
     """A picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
     tone = reference.tone(found.camera, found.settings, image)
-    view = reference.at(found.camera, found.settings, tone)
-    blur = find_blur(luma(view.plain), view.alpha, luma(image))
-    if blur is not None:
-        view = view.blurred(blur)
+    view = reference.at(found.camera, found.settings, tone).blurred_as(image)
     (whole, change), bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
     if bent is not None:  # no camera says where it is clear, and so what lies behind
         parts = view.read(bent.warped, bent.mask)
         whole = parts if whole is None or parts.promise > whole.promise else whole
         change = None if whole is parts else change
-    return None if whole is None else ReadPicture(whole, found.mirrored, blur, change)
+    return None if whole is None else ReadPicture(whole, found.mirrored, view.blur, change)
 
 
 def _read_whole(

@@ -47,16 +47,15 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
     if rough is None:
         return None
     flow, agreed = (_doubled(each, gray.shape) for each in rough)
-    expected = predict_brightness(gray, seen, shown)
-    before = _correlation(expected, seen, shown, _CONFIG.around)[shown] > _CONFIG.fits
+    expected, alike = _compared(gray, seen, shown, _CONFIG.around)
+    before = alike[shown] > _CONFIG.fits
     used = (shown & (agreed > 0.5)).astype(np.float32)
     flow = _filled(flow, used, _CONFIG.filled)
     for _ in range(_CONFIG.rounds):
         flow = flow + _step(expected, seen, flow, used)
-    warped, inside = remap(picture, _positions(flow))
+    warped, inside = _moved(picture, flow)
     there = luma(warped)
-    expected = predict_brightness(gray, there, inside & shown)
-    alike = _correlation(expected, there, shown & inside, _CONFIG.around)
+    expected, alike = _compared(gray, there, shown & inside, _CONFIG.around)
     after = alike[shown] > _CONFIG.fits
     if after.mean() - before.mean() < _CONFIG.clear:
         return None
@@ -69,15 +68,15 @@ def _rough(gray: Float32, seen: Float32, alpha: Float32) -> tuple[Float32, Float
     shown = alpha > _CONFIG.opaque
     if not shown.any():
         return None
-    expected = predict_brightness(gray, seen, shown)
-    before = (_correlation(expected, seen, shown, _CONFIG.around / 2)[shown] > _CONFIG.fits).mean()
+    expected, alike = _compared(gray, seen, shown, _CONFIG.around / 2)
+    before = (alike[shown] > _CONFIG.fits).mean()
     if before > _CONFIG.well:
         return None
     flow, agreed = _dense(expected, seen)
     near = _filled(flow, (shown & agreed).astype(np.float32), _CONFIG.filled / 2)
-    there, inside = remap(seen[..., None], _positions(near))
-    expected = predict_brightness(gray, there[..., 0], inside & shown)
-    after = (_correlation(expected, there[..., 0], shown & inside, _CONFIG.around / 2)[shown] > _CONFIG.fits).mean()
+    there, inside = _moved(seen[..., None], near)
+    _, alike = _compared(gray, there[..., 0], shown & inside, _CONFIG.around / 2)
+    after = (alike[shown] > _CONFIG.fits).mean()
     better = after - before > _CONFIG.better or max(seen.shape) < _CONFIG.telling
     return (flow, agreed.astype(np.float32)) if better else None
 
@@ -106,7 +105,7 @@ def _dense(expected: Float32, seen: Float32) -> tuple[Float32, Bool]:
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     search.setFinestScale(0)
     forth, back = search.calc(one, other, None), search.calc(other, one, None)
-    returned, _ = remap(back, _positions(forth))
+    returned, _ = _moved(back, forth)
     agreed = np.linalg.norm(forth + returned, axis=2) < _CONFIG.consistent
     flow = np.stack([cv2.medianBlur(np.ascontiguousarray(forth[..., axis]), _CONFIG.median) for axis in (0, 1)], axis=2)
     return np.asarray(flow), np.asarray(agreed)
@@ -114,7 +113,7 @@ def _dense(expected: Float32, seen: Float32) -> tuple[Float32, Bool]:
 
 def _step(expected: Float32, seen: Float32, flow: Float32, used: Float32) -> Float32:
     """(H, W, 2) what to add to the flow: Gauss-Newton in windows, of brightness."""
-    warped, inside = remap(seen[..., None], _positions(flow))
+    warped, inside = _moved(seen[..., None], flow)
     known = smooth(expected, _CONFIG.blur)
     residual = smooth(warped[..., 0], _CONFIG.blur) - known
     counted = inside & (used > 0)
@@ -143,11 +142,11 @@ def _fitting(expected: Float32, there: Float32, alike: Float32, shown: Bool) -> 
     return np.asarray(cv2.erode(fits.astype(np.uint8), np.ones((size, size), dtype=np.uint8)) > 0)
 
 
-def _positions(flow: Float32) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """(H, W, 2) where the flow leads, pixel coordinates."""
+def _moved(image: Float32, flow: Float32) -> tuple[Float32, Bool]:
+    """An image (H, W, C) carried back along a flow from each pixel to its place in it; and where that lies inside."""
     height, width = flow.shape[:2]
     row, column = np.mgrid[0:height, 0:width].astype(np.float64) + 0.5
-    return np.stack([column, row], axis=2) + flow
+    return remap(image, np.stack([column, row], axis=2) + flow)
 
 
 def _filled(values: Float32, weight: Float32, sigma: float) -> Float32:
@@ -156,14 +155,16 @@ def _filled(values: Float32, weight: Float32, sigma: float) -> Float32:
     return smooth(values * weight[..., None], sigma) / total[..., None]
 
 
-def _correlation(one: Float32, other: Float32, used: Bool, around: float) -> Float32:
-    """(H, W) of two images in the neighbourhood of each pixel, a blur of so many pixels, of the pixels used."""
+def _compared(gray: Float32, seen: Float32, used: Bool, around: float) -> tuple[Float32, Float32]:
+    """(H, W) the brightness of a render as the picture over it would show it, from the pixels used; and (H, W) the
+    correlation of that with the picture's in the neighbourhood of each pixel, a blur of so many pixels."""
+    expected = predict_brightness(gray, seen, used)
     weight = used.astype(np.float32)
     total = smooth(weight, around) + np.float32(1e-6)
-    means = [smooth(weight * each, around) / total for each in (one, other)]
+    means = [smooth(weight * each, around) / total for each in (expected, seen)]
     squares = [
         smooth(weight * each * each, around) / total - mean * mean
-        for each, mean in zip((one, other), means, strict=True)
+        for each, mean in zip((expected, seen), means, strict=True)
     ]
-    both = smooth(weight * one * other, around) / total - means[0] * means[1]
-    return np.asarray(both / np.sqrt(np.maximum(squares[0] * squares[1], 1e-8)), dtype=np.float32)
+    both = smooth(weight * expected * seen, around) / total - means[0] * means[1]
+    return expected, np.asarray(both / np.sqrt(np.maximum(squares[0] * squares[1], 1e-8)), dtype=np.float32)
