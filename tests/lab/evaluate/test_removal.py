@@ -8,7 +8,7 @@ import pytest
 from engine.formats import write_model
 from engine.formats.model_reading import read_model
 from engine.lab.evaluate.bench import removal
-from engine.lab.evaluate.bench.removal import measure_removal, wash
+from engine.lab.evaluate.bench.removal import drowned, measure_removal, members, network_colors, own_cells, wash
 from engine.lab.sim.adversaries.laundering import shake, smooth
 from engine.model import GaussianModel
 from engine.watermark.grain import units
@@ -43,6 +43,24 @@ def test_smoothing_and_shaking(plant: GaussianModel) -> None:
     assert 1.2 < np.median(moved) < 2.5
 
 
+def test_colors_by_cells_of_ones_own(plant: GaussianModel) -> None:
+    before = plant.sh[:, 0]
+    taken = members(plant, 50, 0).sh[:, 0]
+    assert len(np.unique(taken, axis=0)) <= 50
+    assert {color.tobytes() for color in taken} <= {color.tobytes() for color in before}
+    moves = np.unique(np.round(drowned(plant, 50, 0.4, 0).sh[:, 0] - before, 4), axis=0)
+    assert len(moves) <= 50
+    assert 0.2 < moves.std() < 0.6
+    assert np.abs(own_cells(plant, 50, 0).sh[:, 0] - before).mean() < np.abs(taken - before).mean()
+
+
+def test_a_network_tells_colors_from_their_places(plant: GaussianModel) -> None:
+    pytest.importorskip("torch")
+    before, told = plant.sh[:, 0], network_colors(plant, 2.4, 0).sh[:, 0]
+    left = np.square(told - before).mean() / np.square(before - before.mean(axis=0)).mean()
+    assert 0.01 < left < 0.6
+
+
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_model_claims_while_there_is_anything_to_look_at(
@@ -56,7 +74,7 @@ def test_the_model_claims_while_there_is_anything_to_look_at(
     monkeypatch.setattr(removal, "CELLS", (500,))
     monkeypatch.setattr(removal, "CHAINS", ())
     rows = measure_removal(path, 1, "fast")
-    assert len(rows) == 6
+    assert len(rows) == 9
     for row in rows:
         assert row["psnr_db"] < 25 or row["verdict"] == "marked", row
     assert rows[0]["psnr_db"] > rows[1]["psnr_db"] > rows[4]["psnr_db"]

@@ -7,12 +7,16 @@ He knows how cells are made, what both layers move and by how much; not the sign
 - *Smoothing*: every colour becomes the mean of its neighbours'.
 - *Shaking*: every centre moved by a multiple of its own size, sizes by half as much at most, the order drawn anew.
 - Shaking and smoothing together.
-- *Cells of one's own*: every colour becomes the mean of a cell that place and colour make together, then shaking.
+- *Cells of one's own*: every colour becomes the mean of a cell that place and colour make together, or that of one of
+  its Gaussians, drawn at random; or cells of means are moved by noise, cell by cell. Then shaking.
+- *Network*: every colour becomes what a small network, fitted to the model, tells of it from place and a noisy colour.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from engine.flows.embed.layer_strengths import add_dc
@@ -41,6 +45,12 @@ SHAKES = (0.3, 1.0, 2.0, 4.0)
 """Standard deviation of a centre's move, in the Gaussian's own size along each axis."""
 CELLS = (2000, 1000, 500)
 """Cells of one's own, drawn from the model."""
+MEMBERS = 1000
+"""Cells whose colour is one Gaussian's."""
+DROWNED = (2000, 4000, 0.4)
+"""Cells of means, other cells that are moved then, and by how much: standard deviation of a harmonic."""
+NOISY = 2.4
+"""Noise of the color that the network sees, harmonics: the place says most."""
 CHAINS: tuple[tuple[str, tuple[tuple[str, Strength], ...]], ...] = (
     ("lattice", (("lattice", "all"),)),
     ("lattice, smoothed over 64", (("lattice", "all"), ("smooth_colors", 64))),
@@ -63,16 +73,66 @@ def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
     return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)))
 
 
-def own_cells(model: GaussianModel, count: int, seed: int) -> GaussianModel:
-    """Colours as the means of `count` cells about random Gaussians, by place, in distances to 32 neighbours, and DC."""
+def cells(model: GaussianModel, count: int, seed: int) -> npt.NDArray[np.intp]:
+    """(N,) which of `count` cells it lies in, about random ones: by place, in distances to 32 neighbours, and DC."""
     means, dc = model.means.astype(np.float64), model.sh[:, 0].astype(np.float64)
     reach = np.median(cKDTree(means).query(means, 33, workers=2)[0][:, -1])
     places = np.concatenate([means / reach, dc], axis=1)
     drawn = np.random.default_rng(seed).choice(len(model), min(count, len(model)), replace=False)
-    cell = cKDTree(places[drawn]).query(places, workers=2)[1]
-    sizes = np.maximum(np.bincount(cell, minlength=len(drawn)), 1)
-    colors = np.stack([np.bincount(cell, column, len(drawn)) / sizes for column in dc.T], axis=1)
+    return np.asarray(cKDTree(places[drawn]).query(places, workers=2)[1])
+
+
+def own_cells(model: GaussianModel, count: int, seed: int) -> GaussianModel:
+    """Colours as the means of cells."""
+    cell = cells(model, count, seed)
+    sizes = np.maximum(np.bincount(cell), 1)
+    colors = np.stack([np.bincount(cell, column) / sizes for column in model.sh[:, 0].T], axis=1)
     return model.with_dc(colors[cell].astype(np.float32))
+
+
+def members(model: GaussianModel, count: int, seed: int) -> GaussianModel:
+    """Colours as that of one Gaussian of each cell, drawn at random."""
+    cell = cells(model, count, seed)
+    order = np.random.default_rng(seed).permutation(len(model))
+    chosen = np.zeros(cell.max() + 1, dtype=np.intp)
+    chosen[cell[order]] = order
+    return model.with_dc(model.sh[chosen[cell], 0])
+
+
+def drowned(model: GaussianModel, count: int, size: float, seed: int) -> GaussianModel:
+    """Colours moved by noise, brightness more than the rest, that is one and the same in each cell."""
+    cell, rng = cells(model, count, seed + 1), np.random.default_rng(seed)
+    bright, rest = rng.standard_normal((count, 1)), rng.standard_normal((count, 3))
+    moves = size * (np.sqrt(0.7) * bright + np.sqrt(0.3) * rest)
+    return model.with_dc(model.sh[:, 0] + moves[cell].astype(np.float32))
+
+
+def network_colors(model: GaussianModel, noise: float, seed: int) -> GaussianModel:
+    """Colours as a network of two hidden layers tells them from place (Fourier features, Tancik et al. 2020) and the
+    colour, which had noise while it was fitted."""
+    import torch
+
+    torch.manual_seed(seed)
+    places = model.means.astype(np.float64) - np.median(model.means, axis=0)
+    places /= np.quantile(np.abs(places), 0.9)
+    waves = places @ np.random.default_rng(seed).normal(0.0, 8.0, (3, 64))
+    known = torch.from_numpy(np.concatenate([np.sin(waves), np.cos(waves), places], axis=1).astype(np.float32))
+    colors = torch.from_numpy(np.ascontiguousarray(model.sh[:, 0]))
+    sides = (known.shape[1] + 3, 128, 128)
+    hidden = [each for a, b in pairwise(sides) for each in (torch.nn.Linear(a, b), torch.nn.SiLU())]
+    network = torch.nn.Sequential(*hidden, torch.nn.Linear(sides[-1], 3))
+    optimizer = torch.optim.Adam(network.parameters(), 4e-3)
+    slower = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 1500)
+    for _ in range(1500):
+        rows = torch.randint(0, len(colors), (4096,))
+        seen = colors[rows] + noise * torch.randn(len(rows), 3)
+        loss = (network(torch.cat([known[rows], seen], dim=1)) - colors[rows]).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        slower.step()
+    with torch.no_grad():
+        return model.with_dc(network(torch.cat([known, colors], dim=1)).numpy())
 
 
 def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:
@@ -85,9 +145,14 @@ def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, G
         shaken = shake(model, sigma, np.random.default_rng(seed))
         yield f"shaken by {sigma:g}", shaken
         yield f"shaken by {sigma:g}, smoothed over {SMOOTH[0]}", smooth(shaken, SMOOTH[0])
-    for count in CELLS:
-        shaken = shake(own_cells(model, count, seed), SHAKES[0], np.random.default_rng(seed))
-        yield f"means of {count:,} own cells, shaken by {SHAKES[0]:g}", shaken
+    own = {f"means of {count:,} own cells": own_cells(model, count, seed) for count in CELLS}
+    own[f"members of {MEMBERS:,} own cells"] = members(model, MEMBERS, seed)
+    count, others, noise = DROWNED
+    noisy = drowned(own_cells(model, count, seed), others, noise, seed)
+    own[f"means of {count:,} own cells, noise of {noise:g} in {others:,} others"] = noisy
+    own["colors of a network"] = network_colors(model, NOISY, seed)
+    for name, suspect in own.items():
+        yield f"{name}, shaken by {SHAKES[0]:g}", shake(suspect, SHAKES[0], np.random.default_rng(seed))
     for name, chain in CHAINS:
         suspect = model
         for attack, strength in chain:
