@@ -84,7 +84,7 @@ def test_washing_is_looked_for_once_in_sharp_pictures_of_marks_in_plain_colors(
     changed = ReferenceViews(scene.opened, little)
     assert changed.changed_as(changed.at(camera), picture, everywhere) is None
     blur = Blur(np.full((5, 5), 1 / 25, dtype=np.float32))
-    assert reference.changed_as(reference.at(camera).blurred(blur), blur.apply(picture), everywhere) is None
+    assert reference.changed_as(replace(reference.at(camera), blur=blur), picture, everywhere) is None
     layout = scene.opened.layout
     wide = replace(layout, directions=tuple(np.pad(each, ((0, 0), (0, 45))) for each in layout.directions))
     whole = ReferenceViews(replace(scene.opened, layout=wide))
