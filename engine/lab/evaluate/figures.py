@@ -25,7 +25,6 @@ __all__ = [
     "house_style",
     "label_line",
     "png",
-    "spread_curve",
     "styles",
     "svg",
 ]
@@ -109,12 +108,6 @@ def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None
     place = (0.99, value) if level else (value, 0.99)
     turned: Any = {"va": "bottom", "rotation": 0} if level else {"va": "top", "rotation": 90}
     axes.text(*place, text, transform=transform, ha="right", fontsize=7.5, color="#6a6a6a", **turned)
-
-
-def spread_curve(axes: Axes, x: Any, y: Any, low: Any, high: Any, *, thin: float = 1.0, **style: Any) -> None:
-    """A line through measured points, and a thin upright one through each: its interval."""
-    axes.plot(x, y, **style)
-    axes.vlines(x, low, high, color=style["color"], linewidth=thin)
 
 
 def svg(drawn: Figure) -> bytes:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from engine.lab.evaluate.figures import FAINT
 from engine.lab.evaluate.pareto.pareto_cells import ATTACKS, SETTINGS
 from engine.lab.evaluate.pareto.pareto_charts import Peer, dominated, draw, outdone, peers
 from engine.lab.evaluate.pareto.pareto_study import PAGE, STUDY
@@ -88,9 +89,13 @@ def test_the_chart_shows_every_point_in_every_panel() -> None:
         for cost, drawn in zip(costs, points, strict=True):
             assert (cost, row["worst_z"]) in drawn
     (listed,) = (text.get_text() for text in panels[0].texts if "Hollow" in text.get_text())
-    assert [line.split(":")[0] for line in listed.split("\n")[1:]] == [
+    ours, _, *published = listed.split("\n")
+    assert ours == "Filled: run by us, informed, 2 cores, no GPU"
+    assert [line.split(":")[0] for line in published] == [
         f"{number} {peer.name}" for number, peer in enumerate(others, start=1)
     ]
+    paper = points[0].index((100.0, 10.0))
+    assert panels[0].lines[paper].get_color() == FAINT != panels[0].lines[paper].get_markeredgecolor()
     assert panels[0].get_title().startswith("Ours: z 20 and more; published: z 5.")
     assert panels[1].get_title() == "Seconds: auto takes 0.72 to 0.72 of balanced"
 
