@@ -96,7 +96,8 @@ HOW = (
 )
 NOTES = (
     "Grey points, ringed in their setting's color, are dominated: another setting of the scene is at least as good in "
-    "seconds, bytes, decibels and z and better in one; of a published method, one of ours is at least as good in all that was published.",
+    "seconds, bytes, decibels and z and better in one; of a published method, one of ours is at least as good in "
+    "all that was published.",
     "Blind methods solve a harder problem, and seconds of other hardware are no measure of ours.",
     f"Decibels are of mark and losses together, against the original, in the worst of {UNSEEN} views that no key view "
     f"was; the first {PICTURES} of them are attacked. Bytes are of the marked model as .sog.",
