@@ -56,7 +56,7 @@ def test_each_method_breaks_where_its_bits_fall_below_26_of_32() -> None:
 def test_the_figure_names_methods_readings_and_the_worst_scene() -> None:
     drawn = draw_families(family_curves(ROWS))
     said = [text.get_text() for text in drawn.legends[0].get_texts()]
-    assert {"ours, informed", "QIM, blind", "spread spectrum, informed", "DCT, blind"} < set(said)
+    assert {"ours, informed", "QIM, blind", "spread spectrum, informed", "DCT at 35 dB, blind"} < set(said)
     panel = drawn.axes[0]
     assert "worst scene b" in panel.get_xlabel()
     lines = {line.get_label(): list(line.get_ydata()) for line in panel.lines}
