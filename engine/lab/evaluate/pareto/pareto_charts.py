@@ -116,7 +116,7 @@ def _legend(drawn: Figure, axes: Axes, rows: Sequence[Row]) -> None:
     for scene, mark in zip(scenes, MARKERS, strict=False):
         axes.plot([], [], mark, markersize=7, color="white", markeredgecolor=INK, label=scene.partition(".")[0])
     for setting, color in zip(settings, PALETTE, strict=False):
-        said = "the paper's, run by us" if setting == PAPER else setting.replace(" dB", " dB allowed")
+        said = "the paper's, run by us" if setting == PAPER else setting.replace("40 dB", "40 dB allowed")
         axes.plot([], [], "s", markersize=8, color=color, label=said)
     ringed: dict[str, Any] = {"markersize": 7, "color": FAINT, "markeredgecolor": INK}
     axes.plot([], [], "s", **ringed, label="dominated, ringed in its color")

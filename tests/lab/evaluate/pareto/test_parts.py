@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from engine.flows.embed.profiles import Auto, compose
 from engine.lab.evaluate.figures import FAINT
 from engine.lab.evaluate.pareto.pareto_cells import ATTACKS, SETTINGS
 from engine.lab.evaluate.pareto.pareto_charts import Peer, dominated, draw, outdone, peers
@@ -78,6 +79,15 @@ def test_peers_are_at_their_worst_picture() -> None:
 def test_every_setting_is_a_cell_of_its_own() -> None:
     cells = STUDY.cells(Options(("a.ply", "b.compressed.ply")))
     assert len({cell.name for cell in cells}) == len(cells) == 2 * len(SETTINGS)
+
+
+def test_40_dB_are_spent_with_and_without_recovery() -> None:
+    spent = {setting: SETTINGS[setting] for setting in SETTINGS if "40 dB" in setting}
+    made = [compose(name, budget_db=budget, knobs=knobs) for name, budget, knobs in spent.values()]
+    assert [(one.start.prune.budget_db, one.start.prune.recover) for one in made if isinstance(one, Auto)] == [
+        (40.0, True),
+        (40.0, False),
+    ]
 
 
 def test_the_chart_shows_every_point_in_every_panel() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from engine.errors import InputError
@@ -59,7 +60,7 @@ def test_the_figure_names_methods_readings_and_the_worst_scene() -> None:
     assert {"ours, informed", "QIM, blind", "spread spectrum, informed", "DCT at 35 dB, blind"} < set(said)
     panel = drawn.axes[0]
     assert "worst scene b" in panel.get_xlabel()
-    lines = {line.get_label(): list(line.get_ydata()) for line in panel.lines}
+    lines = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in panel.lines}
     assert lines["ours, informed"] == [100.0, 100.0, 75.0]
     assert len(panel.collections) == 2, "an interval for each method that breaks"
 
