@@ -4,8 +4,9 @@
 # make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the laboratory, without its long studies;
 # make room-test ROOMS="tests/formats ..." -> what make test leaves to changes of these rooms;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
-# make results -> the README's chart and its table in docs/RESULTS.md, measured anew (300 processor seconds a scene;
+# make results -> the README's chart and its table in docs/RESULTS.md, measured anew (260 processor seconds a scene;
 #   SCENES="a.ply b.sog": on others than the shipped one);
+# make families -> how far six attacks must go before ours and other methods break, measured anew; make results draws it;
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
 PYTHON ?= python3
 VENV := .venv

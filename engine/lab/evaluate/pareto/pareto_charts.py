@@ -130,10 +130,10 @@ def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float]) -> None
         grey, color = dominated(row, rows), PALETTE[settings.index(row["setting"])]
         look: dict[str, Any] = {"markersize": 8, "markeredgecolor": "white", "color": color}
         if grey:
-            look = {"markersize": 7, "markeredgecolor": color, "markeredgewidth": 1.2, "color": FAINT}
+            look = {"markersize": 8, "markeredgecolor": color, "markeredgewidth": 1.2, "color": FAINT}
         axes.plot(cost(row), _shown(row), MARKERS[scenes.index(row["scene"])], **look)
     owner, found = z_threshold(DISHONEST_CLAIMANT_RATE), [_shown(row) for row in rows]
-    label_line(axes, owner, "claim at 1 in 2^128")
+    label_line(axes, owner, "claim at 1 in 2^128", above=False)
     axes.set(yscale="log", ylim=(0.85 * min(owner, *found), 1.3 * max(found)))
     axes.set_ylabel("z after the worst attack (log scale)")
     _plain_ticks(axes.yaxis, TICKS)
