@@ -25,7 +25,7 @@ def rows(scene: str, z: list[float], qim: list[float], trials: int = 2) -> list[
             row: Row = {"attack": "crop", "kind": "model", "reading": "literal", "scene": scene, "trial": trial}
             row |= {"step": step, "strength": [0.9, 0.5, 0.1][step], "z": score, "z_threshold": 6.4}
             row["bits"] = 1.0 if score > 10 else 0.5
-            made.append(row if trial else row | {"bits_qim": qim[step], "psnr": 40.0 - 10 * step})
+            made.append(row if trial or not qim else row | {"bits_qim": qim[step], "psnr": 40.0 - 10 * step})
     return made
 
 
@@ -50,7 +50,7 @@ def test_each_method_breaks_where_its_bits_fall_below_26_of_32() -> None:
     # Ours 1, 1, 0.75: 0.8125 after 3/4 of the last step; QIM 1, 0.625, 0.5: after half of the first.
     assert ours.startswith("0.15 (")
     assert qim.startswith("0.67 (")
-    assert worst.startswith("b: 0.12 (")
+    assert worst.startswith("b: 0.12, z"), "no interval where all trials are alike"
     assert worst.endswith("z 2.4 at 0.1")
 
 
@@ -63,6 +63,15 @@ def test_the_figure_names_methods_readings_and_the_worst_scene() -> None:
     lines = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in panel.lines}
     assert lines["ours, informed"] == [100.0, 100.0, 75.0]
     assert len(panel.collections) == 2, "an interval for each method that breaks"
+    lost = draw_families(family_curves(rows("b.ply", [90.0, 46.4, 2.4], [1.0, 1.0, 1.0]))).axes[0]
+    assert [np.asarray(line.get_xdata()).tolist() for line in lost.lines if line.get_linestyle() == ":"] == [
+        [pytest.approx(1 + 40 / 44)] * 2
+    ]
+
+
+def test_what_is_not_read_counts_as_chance() -> None:
+    (curve,) = family_curves([row | {"bits": 0.0} for row in rows("a.ply", [2.0], [], 1)])
+    assert curve["bits"] == [[0.5]]
 
 
 def test_the_part_of_the_suite_is_the_six_sweeps_alone() -> None:
