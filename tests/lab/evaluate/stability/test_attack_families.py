@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -94,3 +95,8 @@ def test_a_run_leaves_curves_from_which_figure_and_table_are_made(tmp_path: Path
     assert "Blind methods solve a harder problem" in draw_page([result])
     assert (tmp_path / "f.png").read_bytes()[:4] == b"\x89PNG"
     assert main([]) == 2
+
+
+def test_the_committed_table_is_what_its_curves_give() -> None:
+    kept = json.loads((DOCS / "results/curves/attack_families.json").read_text())
+    assert family_result(kept) == json.loads((DOCS / "results/21_attack_families.json").read_text())
