@@ -20,6 +20,9 @@ from engine.lab.evaluate.summary import grouped, table
 MOST_OF_FAST, MOST_OF_BALANCED = 1.15, 1.0
 """Processor seconds that `auto` may take, in those of the other profile."""
 
+SPENT, LEAST_SPENT = "auto, 40 dB", 39.0
+"""Views that had no part in pruning and recovery keep what was allowed, but for 1 dB."""
+
 
 def _cells(options: Options) -> list[Cell]:
     return [
@@ -121,6 +124,11 @@ def _bars(rows: Sequence[Row]) -> list[Bar]:
         }
         what, met = f"processor seconds of auto, in those of {other}", max(shares.values(), default=0.0) <= most
         bars.append(Bar(what, f"<= {most:g}", ", ".join(shares) + " (one run each)", met if shares else None))
+    spent = {_stem(row["scene"]): row["psnr_unseen"] for row in rows if row["setting"] == SPENT}
+    seen, kept = ", ".join(f"{scene} {db:.1f}" for scene, db in spent.items()), min(spent.values(), default=0.0)
+    bars.append(
+        Bar(f"dB of {SPENT}, worst unseen view", f">= {LEAST_SPENT:g}", seen, kept >= LEAST_SPENT if spent else None)
+    )
     return bars
 
 

@@ -117,7 +117,9 @@ def test_a_run_leaves_a_result_for_the_page(tmp_path: Path) -> None:
     assert result.seed == "3"
     assert result.rows[0] == ("fast", "5.0 / 4.0", "20 / 40", "100 %", "100 % / 50 %", "45.0 / 50.0")
     assert "| balanced (a) | 7.0 | 20 | 100 % |" in draw_page([result])
-    said = ["6 of 6 (95 %: 54 to 100 %)", "a 1.01 (one run each)", "a 0.72 (one run each)"]
+    said = ["6 of 6 (95 %: 54 to 100 %)", "a 1.01 (one run each)", "a 0.72 (one run each)", "a 40.0"]
     assert [(bar.measured, bar.met) for bar in made.bars] == [(text, True) for text in said]
+    blurred = [row | {"psnr_unseen": 38.9} if row["setting"] == "auto, 40 dB" else row for row in ROWS]
+    assert not STUDY.report(blurred, Options(("a.ply",))).bars[-1].met
     torn = STUDY.report([ROWS[1] | {"bits_right": 31 / 32}], Options(("a.ply",)))
     assert [(bar.measured.split("; ")[-1], bar.met) for bar in torn.bars[:1]] == [("balanced on a 97 %", False)]
