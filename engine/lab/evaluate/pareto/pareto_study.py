@@ -92,10 +92,10 @@ def _z_after(attack: str, row: Row) -> float:
 PAGE = "17_profiles.json"
 """What docs/results keeps of a run."""
 HOW = (
-    "Filled: run by us, informed; `paper` is the paper's system; the lowest z of five attacks (models cropped to 10 %, with noise of 0.1 on "
-    "everything, through .splat; pictures of 800 x 800 at JPEG 10 and with noise of 0.1, camera known), one key. "
-    "Hollow: published, with hardware as named; circles blind, a diamond informed: z for which a wrong key is as "
-    "improbable as for the bits that they report, of 32, from their worst attacked picture."
+    "Filled: run by us, informed; `paper` is the paper's system; the lowest z of five attacks (models cropped to 10 %, "
+    "with noise of 0.1 on everything, through .splat; pictures of 800 x 800 at JPEG 10 and with noise of 0.1, camera "
+    "known), one key. Hollow: published, with hardware as named; circles blind, a diamond informed: z for which a "
+    "wrong key is as improbable as for the bits that they report, of 32, from their worst attacked picture."
 )
 NOTES = (
     "Grey points, ringed in their setting's color, are dominated: another setting of the scene is at least as good in "
