@@ -4,8 +4,9 @@
 # make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the laboratory, without its long studies;
 # make room-test ROOMS="tests/formats ..." -> what make test leaves to changes of these rooms;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
-# make results -> the README's chart and its table in docs/RESULTS.md, measured anew (300 processor seconds a scene;
+# make results -> the README's chart and its table in docs/RESULTS.md, measured anew (260 processor seconds a scene;
 #   SCENES="a.ply b.sog": on others than the shipped one);
+# make families -> how far six attacks must go before ours and other methods break, measured anew; make results draws it;
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
 PYTHON ?= python3
 VENV := .venv
@@ -14,6 +15,11 @@ STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-demo
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt
 SCENES ?= tests/data/plant.splat
+# What was measured of this commit is not measured again; cells of another one do not count.
+COMMIT ?= $(shell git rev-parse --short HEAD)
+MEASURED = out/results/$(COMMIT)
+OF_COMMIT = sed 's/"commit": .*/"commit": "$(COMMIT)",/'
+SWEPT := docs/results/curves/attack_families.json
 # Two more than there are cores: some tests wait for servers and browsers.
 WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 2)
 UNITS := architecture cli compress credentials flows formats kernels numerics pictures present raster records registration theory watermark
@@ -22,7 +28,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # In the order of tests/conftest.py, longest files first; by default files of few tests, however long, would come last.
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-.PHONY: install demo test full quick core-test lab-test room-test mutants results docker-test check kernels rewritten clean
+.PHONY: install demo test full quick core-test lab-test room-test mutants results families docker-test check kernels rewritten clean
 
 install: $(STAMP) kernels
 
@@ -79,10 +85,15 @@ mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 results: $(STAMP) kernels
-	$(BIN)/mark3dgs evaluate --suite pareto $(addprefix --scene ,$(SCENES)) --out out/results
-	cp out/results/figures/pareto.png docs/
-	sed "s/\"commit\": .*/\"commit\": \"$$(git rev-parse --short HEAD)\",/" out/results/17_profiles.json > docs/results/17_profiles.json
+	$(BIN)/mark3dgs evaluate --suite pareto $(addprefix --scene ,$(SCENES)) --out $(MEASURED)
+	cp $(MEASURED)/figures/pareto.png docs/
+	$(OF_COMMIT) $(MEASURED)/17_profiles.json > docs/results/17_profiles.json
+	$(BIN)/python -m engine.lab.evaluate.stability.attack_families $(SWEPT) docs/attack_families.png docs/results/21_attack_families.json
 	$(BIN)/python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md
+
+families: $(STAMP) kernels
+	$(BIN)/mark3dgs evaluate --suite stability --setting families $(addprefix --scene ,$(SCENES)) --out $(MEASURED)/families
+	$(OF_COMMIT) $(MEASURED)/families/attack_families.json > $(SWEPT)
 
 docker-test: $(STAMP)
 	$(PIP_INSTALL) -e '.[docker-test]'

@@ -254,8 +254,8 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
         "in total": f"{made.psnr_total_worst_view:.2f} dB, with pruning and quantization",
         "Gaussians": f"{made.gaussians_in:,} -> {made.gaussians_out:,}",
         "strength": (
-            f"predicted z of a claim from one picture: {made.predicted_z_viewer:.0f} (a viewer's screenshot, JPEG 80),"
-            f" {made.predicted_z_render:.0f} (own render of 800 x 800 pixels, JPEG 10); they vary with the view"
+            f"predicted z of a claim from one picture: {made.predicted_z_render:.0f} (own render of 800 x 800 pixels, "
+            "JPEG 10); it varies with the view"
         ),
         "files": f"model {size(report.mark.bytes_out)}, record {size(report.mark.record_bytes)}",
         "time": f"{report.seconds:.1f} s: {stages}",

@@ -224,21 +224,12 @@ def predict_z(energies: Float64, bit_of: Int32, bits: int) -> Float64:
     return out
 
 
-@dataclass(frozen=True)
-class PredictedZ:
-    """z of a claim from one picture, by what made the picture: the usual one of several that show the asset well."""
-
-    render: float  # our own render of `reference_pixels`, at JPEG 10
-    viewer: float  # a screenshot of a viewer, at JPEG 80
-
-
-def predict_claim(energies: Float64, rehearsed: float = 0.0) -> PredictedZ:
-    """What one picture is expected to show; `energies` as of `predict_z`; `rehearsed`: z of `render`, where it was
-    read."""
-    z = rehearsed / _CONFIG.claimed_render
-    if not rehearsed:
-        z = float(predict_z(energies, np.zeros(energies.shape[1], dtype=np.int32), 1).mean())
-    return PredictedZ(_CONFIG.claimed_render * z, _CONFIG.claimed_viewer * z)
+def predict_claim(energies: Float64, rehearsed: float = 0.0) -> float:
+    """z of a claim from one own render of `reference_pixels`, at JPEG 10: the usual one of several that show the asset
+    well; `energies` as of `predict_z`; `rehearsed`: that z, where it was read."""
+    if rehearsed:
+        return rehearsed
+    return _CONFIG.claimed_render * float(predict_z(energies, np.zeros(energies.shape[1], dtype=np.int32), 1).mean())
 
 
 def capacity_bits(energies: Float64, chips: int) -> int:

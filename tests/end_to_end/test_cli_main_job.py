@@ -20,7 +20,6 @@ EMBED_KEYS = {
     "psnr_worst_view",
     "ssim_worst_view",
     "psnr_total_worst_view",
-    "predicted_z_viewer",
     "capacity_bits",
     "bytes_out",
     "seconds",

@@ -56,7 +56,6 @@ class EmbedReport(Report):
     ssim_worst_view: float  # of the mark alone
     psnr_total_worst_view: float  # dB, with pruning and quantization
     predicted_z_render: float  # of a claim from one own render of 800 x 800 pixels, at JPEG 10
-    predicted_z_viewer: float  # of a claim from one screenshot of a viewer, at JPEG 80
     capacity_bits: int  # that a model carries
     picture_bits: int  # that one picture carries
     chips: int  # of the tint
@@ -220,7 +219,6 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
             seen = psnr_by_view(asset.original.views.images, ground.cameras, marked, variant.at_view)
             shown, total = int(np.argmin(seen)), min(seen)
     rehearsed = 0.0 if asset.choice is None else asset.choice.rehearsal.usual_z
-    predicted = predict_claim(plan.energies * ground.picture_scale, rehearsed)
     report = EmbedReport(
         gaussians_in=len(asset.original.model),
         gaussians_out=len(marked),
@@ -231,8 +229,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         psnr_worst_view=fidelity.psnr_db,
         ssim_worst_view=fidelity.ssim,
         psnr_total_worst_view=total,
-        predicted_z_render=predicted.render,
-        predicted_z_viewer=predicted.viewer,
+        predicted_z_render=predict_claim(plan.energies * ground.picture_scale, rehearsed),
         capacity_bits=owner.capacity,
         picture_bits=owner.pictured,
         chips=plan.layout.chips,

@@ -25,7 +25,6 @@ __all__ = [
     "house_style",
     "label_line",
     "png",
-    "spread_curve",
     "styles",
     "svg",
 ]
@@ -99,22 +98,11 @@ def styles() -> Iterator[dict[str, Any]]:
         yield {"color": color, "marker": marker, "linestyle": dash}
 
 
-def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None:
-    """A thin line for a threshold or bar, named where it stands."""
-    level = along == "x"
-    draw, transform = (
-        (axes.axhline, axes.get_yaxis_transform()) if level else (axes.axvline, axes.get_xaxis_transform())
-    )
-    draw(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
-    place = (0.99, value) if level else (value, 0.99)
-    turned: Any = {"va": "bottom", "rotation": 0} if level else {"va": "top", "rotation": 90}
-    axes.text(*place, text, transform=transform, ha="right", fontsize=7.5, color="#6a6a6a", **turned)
-
-
-def spread_curve(axes: Axes, x: Any, y: Any, low: Any, high: Any, *, thin: float = 1.0, **style: Any) -> None:
-    """A line through measured points, and a thin upright one through each: its interval."""
-    axes.plot(x, y, **style)
-    axes.vlines(x, low, high, color=style["color"], linewidth=thin)
+def label_line(axes: Axes, value: float, text: str, *, above: bool = True) -> None:
+    """A thin level line for a threshold or bar, named at its right end, above or below."""
+    axes.axhline(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
+    look: Any = {"ha": "right", "va": "bottom" if above else "top", "fontsize": 7.5, "color": "#6a6a6a"}
+    axes.text(0.99, value, text, transform=axes.get_yaxis_transform(), **look)
 
 
 def svg(drawn: Figure) -> bytes:

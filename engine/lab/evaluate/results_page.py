@@ -123,12 +123,11 @@ def _bars(bars: list[tuple[Result, Bar]]) -> list[str]:
 def _section(result: Result) -> list[str]:
     measured = (f"seed {result.seed}", result.machine, f"commit {result.commit}")
     known = [entry for entry in measured if UNKNOWN not in entry]
-    by = result.command if " " not in result.command or result.command == "script not kept" else f"`{result.command}`"
-    lines = [f"## {result.what}", "; ".join([by, *known]) + ".", ""]
-    lines += [*_table(result.columns, result.rows), ""]
+    by = result.command if " " not in result.command else f"`{result.command}`"
+    by = "Script not kept" if result.command == "script not kept" else by
     met = "; ".join(f"{bar.bar} ({bar.measured})" for bar in result.bars if bar.met)
-    said = [*([f"Bars met: {met}."] if met else []), *result.notes]
-    return [*lines, *([" ".join(said), ""] if said else [])]
+    said = ["; ".join([by, *known]) + ".", *([f"Bars met: {met}."] if met else []), *result.notes]
+    return [f"## {result.what}", *_table(result.columns, result.rows), "", " ".join(said), ""]
 
 
 def _table(columns: tuple[str, ...], rows: Any) -> list[str]:

@@ -36,7 +36,7 @@ def test_misses_stand_above_all_tables(tmp_path: Path) -> None:
 
 def test_what_was_not_written_down_is_not_shown(tmp_path: Path) -> None:
     page = draw_page(read_results(write(tmp_path)))
-    assert "commit abc1234" in page
+    assert "`mark3dgs evaluate --suite table2`; seed default; commit abc1234. Bars met" in page
     assert "not recorded" not in page
 
 

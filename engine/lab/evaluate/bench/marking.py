@@ -49,7 +49,7 @@ FIELDS = (
     "ssim_worst_view",
     "psnr_total_worst_view",
     "psnr_pruned_worst_view",
-    "predicted_z_viewer",
+    "predicted_z_render",
 )
 
 

@@ -18,15 +18,16 @@ from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.rates import MADE_FIRST
 
-SETTINGS: dict[str, tuple[str, float | None]] = {
-    "fast": ("fast", None),
-    "balanced": ("balanced", None),
-    "strong": ("strong", None),
-    "auto": (AUTO, None),
-    "auto, 40 dB": (AUTO, 40.0),
-    "paper": ("paper", None),
+SETTINGS: dict[str, tuple[str, float | None, tuple[str, ...]]] = {
+    "fast": ("fast", None, ()),
+    "balanced": ("balanced", None, ()),
+    "strong": ("strong", None, ()),
+    "auto": (AUTO, None, ()),
+    "auto, 40 dB": (AUTO, 40.0, ()),
+    "auto, 40 dB, no recovery": (AUTO, 40.0, ("prune.recover=false",)),
+    "paper": ("paper", None, ()),
 }
-"""Profile and pruning budget by the name on the chart; `paper` is the paper's system as we run it."""
+"""Profile, pruning budget and knobs by the name on the chart; `paper` is the paper's system as we run it."""
 QUICK = ("fast", "auto")
 ATTACKS = (
     Trial("crop to 10 %", (("crop", 0.1),), "", "model"),
@@ -46,8 +47,8 @@ OF_VIEWS = 0x4E1D
 def measure_setting(scene: str, setting: str, seed: int, quick: bool) -> list[Row]:
     """Everything about one of SETTINGS on one scene; quick: without landmarks, one small view."""
     loaded, key = _warm(scene), bench_key(seed)
-    name, budget = SETTINGS[setting]
-    config = compose(name, budget_db=budget, knobs=("landmark_views=0", "view_size=256") if quick else ())
+    name, budget, knobs = SETTINGS[setting]
+    config = compose(name, budget_db=budget, knobs=(*knobs, "landmark_views=0", "view_size=256") if quick else knobs)
     began = time.process_time()
     made = embed(loaded.model, key, original_sha256=loaded.sha256, config=delivered_as(config, "sog"))
     seconds = time.process_time() - began

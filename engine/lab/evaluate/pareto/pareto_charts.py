@@ -99,7 +99,7 @@ def draw(rows: Sequence[Row], others: Sequence[Peer], machine: str) -> Figure:
         (by_db, lambda row: float(row["psnr_unseen"])),
     )
     for axes, cost in panels:
-        _ours(axes, rows, cost, "")
+        _ours(axes, rows, cost)
     by_seconds.set(xscale="log", xlabel="processor seconds to embed (log scale)", title=_in_seconds(rows))
     _plain_ticks(by_seconds.xaxis, TICKS)
     by_bytes.set(xlabel="marked file, % of the unmarked one's bytes (.sog)", title=_in_bytes(rows))
@@ -116,47 +116,49 @@ def _legend(drawn: Figure, axes: Axes, rows: Sequence[Row]) -> None:
     for scene, mark in zip(scenes, MARKERS, strict=False):
         axes.plot([], [], mark, markersize=7, color="white", markeredgecolor=INK, label=scene.partition(".")[0])
     for setting, color in zip(settings, PALETTE, strict=False):
-        said = "the paper's, run by us" if setting == PAPER else setting.replace(" dB", " dB allowed")
+        said = "the paper's, run by us" if setting == PAPER else setting.replace("40 dB", "40 dB allowed")
         axes.plot([], [], "s", markersize=8, color=color, label=said)
-    axes.plot([], [], "s", markersize=8, color=FAINT, label="dominated")
+    ringed: dict[str, Any] = {"markersize": 7, "color": FAINT, "markeredgecolor": INK}
+    axes.plot([], [], "s", **ringed, label="dominated, ringed in its color")
     shown = (len(scenes) + len(settings) + 2) // 2
     drawn.legend(loc="outside lower center", ncols=shown, columnspacing=1.4, handletextpad=0.3, fontsize=9)
 
 
-def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float], claims: str) -> None:
+def _ours(axes: Axes, rows: Sequence[Row], cost: Callable[[Row], float]) -> None:
     scenes, settings = _names(rows, "scene"), _names(rows, "setting")
     for row in sorted(rows, key=lambda row: not dominated(row, rows)):  # grey lies below
-        grey = dominated(row, rows)
-        color = FAINT if grey else PALETTE[settings.index(row["setting"])]
-        look: dict[str, Any] = {"color": color, "markersize": 6 if grey else 8, "markeredgecolor": "white"}
+        grey, color = dominated(row, rows), PALETTE[settings.index(row["setting"])]
+        look: dict[str, Any] = {"markersize": 8, "markeredgecolor": "white", "color": color}
+        if grey:
+            look = {"markersize": 8, "markeredgecolor": color, "markeredgewidth": 1.2, "color": FAINT}
         axes.plot(cost(row), _shown(row), MARKERS[scenes.index(row["scene"])], **look)
-    label_line(axes, z_threshold(CHANCE_RATE), claims and f"{claims} 1 in 10^9")
-    label_line(axes, z_threshold(DISHONEST_CLAIMANT_RATE), claims and f"{claims} 1 in 2^128")
-    found = [_shown(row) for row in rows]
-    axes.set(yscale="log", ylim=(min(5.0, 0.8 * min(found)), 1.3 * max(found)))
+    owner, found = z_threshold(DISHONEST_CLAIMANT_RATE), [_shown(row) for row in rows]
+    label_line(axes, owner, "claim at 1 in 2^128", above=False)
+    axes.set(yscale="log", ylim=(0.85 * min(owner, *found), 1.3 * max(found)))
     axes.set_ylabel("z after the worst attack (log scale)")
     _plain_ticks(axes.yaxis, TICKS)
 
 
 def _beside(axes: Axes, rows: Sequence[Row], others: Sequence[Peer], machine: str) -> None:
-    _ours(axes, rows, lambda row: float(row["cpu_seconds"]), "claim at")
+    _ours(axes, rows, lambda row: float(row["cpu_seconds"]))
     _published(axes, rows, others, lambda peer: peer.seconds)
     kinds = ((f"{peer.name}: {peer.hardware}", "blind" if peer.blind else "informed") for peer in others)
     lines = [f"{number} {name}, {kind}" for number, (name, kind) in enumerate(kinds, start=1)]
-    said = "\n".join(["Hollow: published", *lines])
+    said = "\n".join([f"Filled: run by us, informed, {machine}, no GPU", "Hollow: published", *lines])
     axes.text(0.99, 0.99, said, transform=axes.transAxes, ha="right", va="top", fontsize=8, linespacing=1.35)
     low = min(row["worst_z"] for row in rows if row["setting"] != PAPER)
     axes.set(
         xscale="log",
         xlim=(0.5 * min(row["cpu_seconds"] for row in rows), 2.0 * max(peer.seconds for peer in others)),
-        ylim=(3.0, 2.0 * max(row["worst_z"] for row in rows)),
-        xlabel=f"seconds to embed (log scale); ours: processor time, {machine}",
+        ylim=(3.0, 4.5 * max(row["worst_z"] for row in rows)),
+        xlabel="seconds to embed (log scale); filled: processor time",
         title=f"Ours: z {low:.0f} and more; published: z {max(peer.z for peer in others):.1f} and less",
     )
     _plain_ticks(axes.xaxis, (3, 10, 30, 100, 300, 1000, 3000, 10000))
 
 
 def _published(axes: Axes, rows: Sequence[Row], others: Sequence[Peer], cost: Callable[[Peer], float | None]) -> None:
+    label_line(axes, z_threshold(CHANCE_RATE), "claim at 1 in 10^9")
     for number, peer in enumerate(others, start=1):
         if (x := cost(peer)) is not None:
             color = FAINT if outdone(peer, rows) else INK

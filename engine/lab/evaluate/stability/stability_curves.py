@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.lab.evaluate.figures import SEQUENTIAL, Figure, figure, label_line, spread_curve, styles
+from engine.lab.evaluate.figures import SEQUENTIAL, Figure, figure
 from engine.lab.evaluate.intervals import bootstrap, share_interval
 from engine.lab.evaluate.study import Row
 from engine.lab.evaluate.summary import grouped, picked
@@ -15,17 +15,7 @@ from engine.lab.sim.attack import Strength
 from engine.lab.sim.attack_cost import CHEAP_DB
 from engine.model import Float64
 
-__all__ = [
-    "Break",
-    "Swept",
-    "breaking_point",
-    "draw_costs",
-    "draw_map",
-    "failing_first",
-    "first_below",
-    "strength_at",
-    "sum_up",
-]
+__all__ = ["Break", "Swept", "breaking_point", "draw_map", "failing_first", "first_below", "strength_at", "sum_up"]
 
 GEOMETRIC = 8.0
 """Factor between the ends of a wide range."""
@@ -257,26 +247,3 @@ def _stretched(curve: Float64, ordered: bool) -> Float64:
     at = np.linspace(0, len(curve) - 1, COLUMNS)
     stretched: Float64 = np.interp(at, np.arange(len(curve)), curve)
     return stretched if ordered else curve[np.round(at).astype(int)]
-
-
-def draw_costs(own: Sequence[Swept], what: str, most: int = 6) -> Figure:
-    """z against what is left of the look, for the attacks that take the claim, or come nearest to it."""
-    worst = [one for one in own if np.isfinite(one.psnr).sum() >= 2 and one.ordered][:most]
-    drawn, axes = figure(height=4.0)
-    for style, one in zip(styles(), worst, strict=False):
-        spread = np.array([one.z_interval(step) for step in range(len(one.strengths))])
-        mean, low, high = (np.maximum(z, 1.0) for z in (one.z.mean(axis=0), *spread.T))
-        spread_curve(axes, np.minimum(one.psnr, 60.0), mean, low, high, thin=1.6, label=one.label, **style)
-    axes.set(yscale="log", ylim=(0.9, None))
-    axes.invert_xaxis()
-    label_line(axes, max((one.z_threshold for one in worst), default=6.4), "claim at 1e-9")
-    label_line(axes, CHEAP_DB, "", along="y")
-    lost = f"below {CHEAP_DB:g} dB\nthe look is lost"
-    axes.text(CHEAP_DB - 0.4, 0.02, lost, fontsize=7.5, color="#6a6a6a", transform=axes.get_xaxis_transform())
-    axes.set_xlabel("look that is left: PSNR against the marked model, dB (60 and more at 60)")
-    axes.set_ylabel("z, mean and 95 % interval (1 and less at 1)")
-    axes.legend(fontsize=7.0, loc="lower left")
-    cheap = sum(one.is_cheap for one in own)
-    finding = f"{cheap} of {len(own)} take the claim and keep" if cheap else "no attack takes the claim and keeps"
-    axes.set_title(f"Attacks on {what}: {finding} {CHEAP_DB:g} dB")
-    return drawn

@@ -2,17 +2,22 @@
 
 Full: about 90 sweeps of up to 5 strengths with 3 trials on models (each a key and a seed of its own) and 2 on pictures,
 27 odd inputs in two roles, 4 child processes: about 25 minutes a scene of 100k Gaussians on 2 cores. Quick: three
-sweeps, five odd inputs, one trial, small views.
+sweeps, five odd inputs, one trial, small views. `--setting families`: the six sweeps of `attack_families` alone.
 """
 
+import json
 import math
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
+from engine.errors import InputError
 from engine.lab.evaluate.intervals import share_interval
+from engine.lab.evaluate.machine import machine_info
+from engine.lab.evaluate.stability.attack_families import FAMILIES, draw_families, family_curves
 from engine.lab.evaluate.stability.odd_inputs import ODD, QUICK, stress
 from engine.lab.evaluate.stability.sameness import compare_machines, compare_precision
-from engine.lab.evaluate.stability.stability_curves import Break, Swept, draw_costs, draw_map, failing_first, sum_up
+from engine.lab.evaluate.stability.stability_curves import Break, Swept, draw_map, failing_first, sum_up
 from engine.lab.evaluate.stability.sweeps import PICTURE_SIZE, all_sweeps, sweep, thinned
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
 from engine.lab.evaluate.summary import listed, picked, table
@@ -21,23 +26,30 @@ from engine.lab.sim.attack_cost import CHEAP_DB
 __all__ = ["STUDY"]
 
 MODEL_TRIALS, IMAGE_TRIALS = 3, 2
+ONLY_FAMILIES = "families"
+"""The part of the suite that `--setting` names."""
 QUICK_SWEEPS = ("prune_random", "noise_dc", "jpeg")
 ODD_A_CELL = 5
 
 
 def cells(options: Options) -> list[Cell]:
     """One cell for each sweep and scene; odd inputs a handful at a time; two cells of sameness."""
+    if unknown := set(options.settings) - {ONLY_FAMILIES}:
+        raise InputError(f"the suite has no part {sorted(unknown)[0]!r}; it has {ONLY_FAMILIES!r}")
     made = []
     names = list(QUICK if options.quick else ODD)
+    wanted = FAMILIES if options.settings else QUICK_SWEEPS if options.quick else None
     for number, path in enumerate(options.scenes):
         common = {"path": path, "quick": options.quick, "seed": options.seed}
         for one in all_sweeps():
             strengths, trials = one.strengths, MODEL_TRIALS if one.kind == "model" else IMAGE_TRIALS
             if options.quick:
                 strengths, trials = thinned(strengths, 3), 1
-            if not options.quick or one.name in QUICK_SWEEPS:
+            if wanted is None or one.name in wanted:
                 swept = {"attack": one.attack, "kind": one.kind, "reading": one.reading, "strengths": list(strengths)}
                 made.append(Cell.of(f"{number}-{one.name}", sweep, **common, **swept, trials=trials))
+        if options.settings:
+            continue
         made.append(Cell.of(f"{number}-same-precision", compare_precision, **common))
         made.append(Cell.of(f"{number}-same-machines", compare_machines, **common))
         for part in range(0, len(names), ODD_A_CELL):
@@ -52,14 +64,17 @@ def report(rows: list[Row], options: Options) -> Report:
     models, pictures = ([one for one in swept if one.kind == kind] for kind in ("model", "image"))
     odd, same = picked(rows, what="stress"), picked(rows, what="same")
     refused = [row for row in picked(rows, what="sweep") if "refused" in row]
+    curves = family_curves(rows)
+    sections = [_attack_section(models, "model", refused), _attack_section(pictures, "image", refused)]
+    sections += [] if options.settings else [_odd_section(odd), _same_section(same)]
+    families = Drawing("attack-families", partial(draw_families, curves), "Blind methods solve a harder problem.")
     return Report(
-        [_attack_bar(models, "models"), _attack_bar(pictures, "one picture"), _input_bar(odd), *_same_bars(same)],
         [
-            _attack_section(models, "model", refused),
-            _attack_section(pictures, "image", refused),
-            _odd_section(odd),
-            _same_section(same),
+            _attack_bar(models, "models"),
+            _attack_bar(pictures, "one picture"),
+            *([] if options.settings else [_input_bar(odd), *_same_bars(same)]),
         ],
+        [Section("Attack families", drawings=[families]), *sections],
         answer=[_answer(models, "models"), _answer(pictures, f"a single picture of {PICTURE_SIZE} pixels")],
         summary={
             "sweeps": len(swept),
@@ -67,7 +82,22 @@ def report(rows: list[Row], options: Options) -> Report:
             "bits_lost": [one.name for one in swept if one.bits_break.lost],
             "claims_lost_cheaply": [one.name for one in swept if one.is_cheap],
         },
+        pages={"attack_families.json": _kept(curves, options)},
     )
+
+
+def _kept(curves: Sequence[Row], options: Options) -> str:
+    """What docs/results/curves keeps of a run, a line a curve."""
+    machine = machine_info()
+    scenes = " ".join(f"--scene {Path(scene).name}" for scene in options.scenes)
+    about = {
+        "command": f"mark3dgs evaluate --suite stability --setting {ONLY_FAMILIES} {scenes}",
+        "seed": str(options.seed),
+        "machine": f"{machine['cores_usable']} cores of {machine['cpu']}, shared",
+        "commit": "not recorded",
+    }
+    said = ",\n".join(f"  {json.dumps(curve)}" for curve in curves)
+    return json.dumps(about, indent=1)[:-2] + f',\n "curves": [\n{said}\n ]\n}}\n'
 
 
 def _answer(own: Sequence[Swept], what: str) -> str:
@@ -132,12 +162,7 @@ def _attack_section(own: Sequence[Swept], kind: str, refused: Sequence[Row]) -> 
             partial(draw_map, own, f"{len(own) - lost} of {len(own)} attacks on {what} never take the claim"),
             f"Attacks on {what}, failing first, each from its harmless to its ruinous strength. Dark is lost; white "
             "was not measured.",
-        ),
-        Drawing(
-            f"cost-{kind}",
-            partial(draw_costs, own, "models" if kind == "model" else "single pictures"),
-            f"Attacks on {what} that come nearest to taking the claim: z against the look that is left.",
-        ),
+        )
     ]
     shown = listed([_line(one) for one in own], "Failing first")
     return Section(f"Attacks on {what}", text, [shown], drawings if own else ())
@@ -224,4 +249,5 @@ STUDY = Study(
     "At which strength does each attack take bits, then the claim, and what has it cost the attacker by then?",
     cells,
     report,
+    frozenset({"quick", "settings"}),
 )

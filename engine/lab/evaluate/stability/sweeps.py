@@ -4,6 +4,7 @@ A sweep's rows tell bits by both decoders and by the baselines, z, claim, and wh
 informed, the QIM baseline's excepted.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
@@ -16,6 +17,7 @@ from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.search import Verification, verify_images, verify_model
 from engine.lab.evaluate.baselines.method import Kept
 from engine.lab.evaluate.baselines.methods import METHODS
+from engine.lab.evaluate.baselines.picture_marks import FittedPictures
 from engine.lab.evaluate.bench.attacks import to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.evaluate.marked_subjects import fast_mark, picture_of
@@ -25,7 +27,7 @@ from engine.lab.sim.attack import Label, Strength
 from engine.lab.sim.attack_cost import image_cost, model_cost
 from engine.lab.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
 from engine.lab.sim.suite import Trial, apply_chain
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Camera, Float32, Float64, GaussianModel
 
 __all__ = ["Sweep", "all_sweeps", "branches", "picture_at_key_view", "sweep", "thinned"]
 
@@ -35,8 +37,10 @@ STEPS = 5
 """Strengths of one sweep, at most; its grid's ends are always among them."""
 LEFT_OUT = ("transplant",)
 """Frames another model and removes nothing: the study `null` has it."""
-BASELINES = ("qim", "spread")
-"""Those that read models: their marks are there at once."""
+BASELINES = {"model": ("qim", "spread"), "image": ("dct",)}
+"""Those that read models, whose marks are there at once, and one that reads pictures."""
+PICTURE_DB = 35.0
+"""At which the one that reads pictures marks: at our PSNR it does not read its own renders whole."""
 PICTURE_SIZE = 400
 """Side of an attacked picture, pixels: a small one, as found on the web."""
 UNCHANGED_DB = 80.0
@@ -107,11 +111,12 @@ def thinned(strengths: tuple[Strength, ...], most: int = STEPS) -> tuple[Strengt
 
 
 @lru_cache(maxsize=1)
-def _baselines(path: str, quick: bool, seed: int) -> dict[str, tuple[GaussianModel, Kept]]:
-    """The scene marked by other methods with the same message, at the same PSNR in the same views."""
+def _baselines(path: str, kind: Kind, quick: bool, seed: int) -> dict[str, tuple[GaussianModel, Kept]]:
+    """The scene marked by other methods with the same message in the same views; models at our PSNR."""
     scene = fast_mark(path, quick, seed)
-    wanted = (scene.opened.message, scene.report["psnr_worst_view"], scene.opened.cameras)
-    return {name: METHODS[name].embed(scene.original, bench_key(seed), *wanted) for name in BASELINES}
+    db = PICTURE_DB if kind == "image" else scene.report["psnr_worst_view"]
+    wanted = (scene.opened.message, db, scene.opened.cameras)
+    return {name: METHODS[name].embed(scene.original, bench_key(seed), *wanted) for name in BASELINES[kind]}
 
 
 def sweep(
@@ -143,19 +148,32 @@ def sweep(
             row |= _said(verify_images([suspect], scene.opened, VerifyConfig(seed=number), cameras=[camera]), scene)
             if suspect.shape == picture.shape and attack not in MOVES_ONLY:
                 row["psnr"] = min(image_cost(picture, suspect).psnr, UNCHANGED_DB)
+            if not number:
+                row |= _of_baselines(path, kind, quick, seed, hurt)
             continue
         row |= _said(verify_model(suspect, scene.opened, VerifyConfig(route="model", seed=number)), scene)
         if number:
             continue
         row |= _model_cost(scene, suspect, attack, quick)
-        for name, (model, kept) in _baselines(path, quick, seed).items():
-            # Of a baseline there are no other copies to collude with.
-            scores = None if attack in NEED_COPIES else METHODS[name].read_model(hurt(model), kept)
-            right = None if scores is None else np.where(scores >= 0, 1, -1) == scene.opened.message
-            row[f"bits_{name}"] = None if right is None else float(right.mean())
+        if attack not in NEED_COPIES:  # of a baseline there are no other copies to collude with
+            row |= _of_baselines(path, kind, quick, seed, hurt)
         if not row["claimed"] and not looked:
             looked = True
             row["z_by_looking"] = verify_model(suspect, scene.opened, VerifyConfig(route="render")).claim.z
+    return rows
+
+
+def _of_baselines(path: str, kind: Kind, quick: bool, seed: int, hurt: Callable[..., Any]) -> Row:
+    """Bits that the baselines read after the same attack; a picture is one of theirs that is read best."""
+    message, rows = fast_mark(path, quick, seed).opened.message, Row()
+    for name, (model, kept) in _baselines(path, kind, quick, seed).items():
+        method = METHODS[name]
+        if isinstance(method, FittedPictures):
+            shown = picture_of(model, method.cameras(kept.original)[0])
+            scores: Float64 | None = method.read_picture(to_8_bit(hurt(shown)), kept)
+        else:
+            scores = method.read_model(hurt(model), kept)
+        rows[f"bits_{name}"] = None if scores is None else float((np.where(scores >= 0, 1, -1) == message).mean())
     return rows
 
 

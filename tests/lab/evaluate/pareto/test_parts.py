@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from engine.flows.embed.profiles import Auto, compose
+from engine.lab.evaluate.figures import FAINT
 from engine.lab.evaluate.pareto.pareto_cells import ATTACKS, SETTINGS
 from engine.lab.evaluate.pareto.pareto_charts import Peer, dominated, draw, outdone, peers
 from engine.lab.evaluate.pareto.pareto_study import PAGE, STUDY
@@ -79,6 +81,15 @@ def test_every_setting_is_a_cell_of_its_own() -> None:
     assert len({cell.name for cell in cells}) == len(cells) == 2 * len(SETTINGS)
 
 
+def test_40_dB_are_spent_with_and_without_recovery() -> None:
+    spent = {setting: SETTINGS[setting] for setting in SETTINGS if "40 dB" in setting}
+    made = [compose(name, budget_db=budget, knobs=knobs) for name, budget, knobs in spent.values()]
+    assert [(one.start.prune.budget_db, one.start.prune.recover) for one in made if isinstance(one, Auto)] == [
+        (40.0, True),
+        (40.0, False),
+    ]
+
+
 def test_the_chart_shows_every_point_in_every_panel() -> None:
     others = peers(read_published())
     panels = draw(ROWS, others, "2 cores").axes
@@ -88,9 +99,13 @@ def test_the_chart_shows_every_point_in_every_panel() -> None:
         for cost, drawn in zip(costs, points, strict=True):
             assert (cost, row["worst_z"]) in drawn
     (listed,) = (text.get_text() for text in panels[0].texts if "Hollow" in text.get_text())
-    assert [line.split(":")[0] for line in listed.split("\n")[1:]] == [
+    ours, _, *published = listed.split("\n")
+    assert ours == "Filled: run by us, informed, 2 cores, no GPU"
+    assert [line.split(":")[0] for line in published] == [
         f"{number} {peer.name}" for number, peer in enumerate(others, start=1)
     ]
+    paper = points[0].index((100.0, 10.0))
+    assert panels[0].lines[paper].get_color() == FAINT != panels[0].lines[paper].get_markeredgecolor()
     assert panels[0].get_title().startswith("Ours: z 20 and more; published: z 5.")
     assert panels[1].get_title() == "Seconds: auto takes 0.72 to 0.72 of balanced"
 
@@ -102,7 +117,9 @@ def test_a_run_leaves_a_result_for_the_page(tmp_path: Path) -> None:
     assert result.seed == "3"
     assert result.rows[0] == ("fast", "5.0 / 4.0", "20 / 40", "100 %", "100 % / 50 %", "45.0 / 50.0")
     assert "| balanced (a) | 7.0 | 20 | 100 % |" in draw_page([result])
-    said = ["6 of 6 (95 %: 54 to 100 %)", "a 1.01 (one run each)", "a 0.72 (one run each)"]
+    said = ["6 of 6 (95 %: 54 to 100 %)", "a 1.01 (one run each)", "a 0.72 (one run each)", "a 40.0"]
     assert [(bar.measured, bar.met) for bar in made.bars] == [(text, True) for text in said]
+    blurred = [row | {"psnr_unseen": 38.9} if row["setting"] == "auto, 40 dB" else row for row in ROWS]
+    assert not STUDY.report(blurred, Options(("a.ply",))).bars[-1].met
     torn = STUDY.report([ROWS[1] | {"bits_right": 31 / 32}], Options(("a.ply",)))
     assert [(bar.measured.split("; ")[-1], bar.met) for bar in torn.bars[:1]] == [("balanced on a 97 %", False)]

@@ -47,7 +47,8 @@ def test_quick_run(tmp_path: Path) -> None:
     assert swept["prune_random"].claimed.all()
     assert swept["prune_random"].bits_baselines["spread"][-1] < 0.9
     assert swept["jpeg"].z[0, 0] > 10 > swept["jpeg"].z[0, -1]
-    assert {"figures/map-model.png", "figures/map-image.svg", "figures/cost-image.png"} <= set(said["figures"])
+    assert {"figures/map-model.png", "figures/map-image.svg", "figures/attack-families.png"} <= set(said["figures"])
+    assert swept["jpeg"].bits_baselines["dct"][0] > 0.65 > swept["jpeg"].bits_baselines["dct"][-1]
     page = (tmp_path / "report.html").read_text()
     assert "empty" in page
     assert json.loads((tmp_path / "results.json").read_text())["quick"] is True
