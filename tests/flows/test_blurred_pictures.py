@@ -132,6 +132,7 @@ def test_wrong_keys_stay_below_the_bound(scene: MarkedScene, sharp: Float32, cam
     assert z.max() < z_threshold(1e-9, keys)
 
 
+@pytest.mark.long
 def test_an_enlarged_screenshot_is_read_with_the_low_pass_it_was_drawn_with(
     with_landmarks: OpenedRecord, sharp: Float32, monkeypatch: pytest.MonkeyPatch
 ) -> None:

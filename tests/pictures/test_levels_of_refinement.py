@@ -44,9 +44,11 @@ def test_what_is_known_of_a_camera_is_not_forgotten_at_the_next_size(
     found = find_camera(bank, plant, jpeg(render(plant, true), 80))
     assert found is not None
     assert reprojection(plant, true, found.camera) < 0.05
-    assert [width for width, _ in asked] == [640, 640, 960, 960], "each once more, drawn otherwise"
+    assert [width for width, _ in asked] == [640] * 2 + [960] * 4, (
+        "each drawn otherwise, too, the last by three low passes"
+    )
     assert max(off for width, off in asked if width == 960) < 1.0
-    assert drawn.count(960) <= 4  # three, and one drawn otherwise
+    assert drawn.count(960) <= 6  # three, and three drawn otherwise
 
 
 def test_a_camera_known_to_be_near_is_spared_wide_blurs(plant: GaussianModel) -> None:
