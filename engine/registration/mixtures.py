@@ -4,8 +4,9 @@ Publishing tools thin a model by merging neighbours (levels of detail). A merged
 mass, the mean and the covariance of those it replaces. So every reference Gaussian is given to the suspect Gaussian
 under which it is likeliest, and what each received must have its moments. No secret of the mark enters.
 
-Where unmerged Gaussians gave the similarity, it is known. Else merging helps: it keeps mass, mean and covariance of
-whatever is merged, so those of the whole model, too, and their axes give the similarity but for signs.
+If Gaussians that were not merged gave the similarity, it is known. Otherwise it follows from the whole model: merging
+keeps the mass, mean and covariance of the Gaussians that it merges, hence those of the whole model, and the principal
+axes of the model give the similarity except for the signs of the axes.
 """
 
 # mypy: allow-untyped-defs

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from engine.cli.app import app
+from engine.cli.app import app, run
 from engine.formats import encode_model, read_model
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.scenes.rotation_order import order_hint
 from engine.scenes.scene_files import read_scene
+from engine.watermark.keys import OwnerKey
 from tests.formats.models import random_model
 
 
@@ -38,6 +39,15 @@ def test_another_order_is_told(order: list[int], tmp_path: Path) -> None:
     for command in (["inspect"], ["convert", str(tmp_path / "b.ply")]):
         shown = CliRunner().invoke(app, [command[0], str(tmp_path / "a.ply"), *command[1:]]).output
         assert "rotations look stored" in shown
+
+
+def test_another_order_is_told_by_embedding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = surface()
+    source, marked, key, record = (str(tmp_path / name) for name in ("a.ply", "b.ply", "owner.key", "a.record"))
+    Path(source).write_bytes(encode_model(model.with_(quats=np.roll(model.quats, 1, axis=1)), "ply"))
+    OwnerKey.generate().write(Path(key))
+    assert run(["embed", source, marked, "--key", key, "--record", record, "--profile", "fast"]) == 0
+    assert "rotations look stored" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -70,7 +70,7 @@ class Asset:
 
     @property
     def generator(self) -> str:
-        """The program that wrote it, as it says; empty where it says nothing."""
+        """Name of the program that wrote the file; empty if the file does not give one."""
         about = self.json.get("asset")
         found = about.get("generator") if isinstance(about, dict) else None
         return found if isinstance(found, str) else ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from engine.lab.evaluate.intervals import share_interval
@@ -31,6 +32,11 @@ def grouped(rows: Iterable[Row], *fields: str) -> dict[Any, list[Row]]:
 def distinct(rows: Iterable[Row], *fields: str) -> list[Any]:
     """Keys of `grouped`."""
     return list(grouped(rows, *fields))
+
+
+def scene_name(scene: str) -> str:
+    """Of a scene's file: what stands before the first dot."""
+    return Path(scene).name.partition(".")[0].replace(" ", "-")
 
 
 def listed(lines: Sequence[Row], title: str = "") -> Table:

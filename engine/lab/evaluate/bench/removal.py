@@ -74,7 +74,7 @@ def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
 
 
 def cells(model: GaussianModel, count: int, seed: int) -> npt.NDArray[np.intp]:
-    """(N,) which of `count` cells it lies in, about random ones: by place, in distances to 32 neighbours, and DC."""
+    """(N,) the cell of each Gaussian, of `count` about random ones: by place, in distances to 32 neighbours, and DC."""
     means, dc = model.means.astype(np.float64), model.sh[:, 0].astype(np.float64)
     reach = np.median(cKDTree(means).query(means, 33, workers=2)[0][:, -1])
     places = np.concatenate([means / reach, dc], axis=1)
@@ -100,7 +100,7 @@ def members(model: GaussianModel, count: int, seed: int) -> GaussianModel:
 
 
 def drowned(model: GaussianModel, count: int, size: float, seed: int) -> GaussianModel:
-    """Colours moved by noise, brightness more than the rest, that is one and the same in each cell."""
+    """Colours moved by noise that is the same in a whole cell, most of it brightness."""
     cell, rng = cells(model, count, seed + 1), np.random.default_rng(seed)
     bright, rest = rng.standard_normal((count, 1)), rng.standard_normal((count, 3))
     moves = size * (np.sqrt(0.7) * bright + np.sqrt(0.3) * rest)

@@ -10,6 +10,7 @@ from scipy.special import betainc
 from engine.lab.evaluate.figures import FAINT, INK, MARKERS, PALETTE, Axes, Figure, figure, label_line
 from engine.lab.evaluate.published import Published
 from engine.lab.evaluate.study import Row
+from engine.lab.evaluate.summary import scene_name
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, z_threshold
 
 PICTURE_ATTACKS = ("JPEG 10", "JPEG 50", "noise 0.1", "crop 40 %")
@@ -114,7 +115,7 @@ def draw(rows: Sequence[Row], others: Sequence[Peer], machine: str) -> Figure:
 def _legend(drawn: Figure, axes: Axes, rows: Sequence[Row]) -> None:
     scenes, settings = _names(rows, "scene"), _names(rows, "setting")
     for scene, mark in zip(scenes, MARKERS, strict=False):
-        axes.plot([], [], mark, markersize=7, color="white", markeredgecolor=INK, label=scene.partition(".")[0])
+        axes.plot([], [], mark, markersize=7, color="white", markeredgecolor=INK, label=scene_name(scene))
     for setting, color in zip(settings, PALETTE, strict=False):
         said = "the paper's, run by us" if setting == PAPER else setting.replace("40 dB", "40 dB allowed")
         axes.plot([], [], "s", markersize=8, color=color, label=said)

@@ -15,7 +15,7 @@ from engine.lab.evaluate.pareto.pareto_cells import ATTACKS, PICTURES, QUICK, SE
 from engine.lab.evaluate.pareto.pareto_charts import PAPER, dominated, draw, outdone, peers
 from engine.lab.evaluate.published import read_published
 from engine.lab.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
-from engine.lab.evaluate.summary import grouped, table
+from engine.lab.evaluate.summary import grouped, scene_name, table
 
 MOST_OF_FAST, MOST_OF_BALANCED = 1.15, 1.0
 """Processor seconds that `auto` may take, in those of the other profile."""
@@ -27,7 +27,7 @@ SPENT, LEAST_SPENT = "auto, 40 dB", 39.0
 def _cells(options: Options) -> list[Cell]:
     return [
         Cell.of(
-            f"{number}-{_stem(scene)}-{setting.replace(', ', '-').replace(' ', '')}",
+            f"{number}-{scene_name(scene)}-{setting.replace(', ', '-').replace(' ', '')}",
             measure_setting,
             scene=scene,
             setting=setting,
@@ -37,10 +37,6 @@ def _cells(options: Options) -> list[Cell]:
         for number, scene in enumerate(options.scenes)
         for setting in (QUICK if options.quick else SETTINGS)
     ]
-
-
-def _stem(scene: str) -> str:
-    return Path(scene).name.partition(".")[0].replace(" ", "-")
 
 
 def _report(rows: list[Row], options: Options) -> Report:
@@ -113,18 +109,18 @@ def _bars(rows: Sequence[Row]) -> list[Bar]:
     torn = [row for row in ours if row["bits_right"] < 1.0]
     low, high = share_interval(len(ours) - len(torn), len(ours))
     said = f"{len(ours) - len(torn)} of {len(ours)} (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
-    faults = [f"{row['setting']} on {_stem(row['scene'])} {100 * row['bits_right']:.0f} %" for row in torn]
+    faults = [f"{row['setting']} on {scene_name(row['scene'])} {100 * row['bits_right']:.0f} %" for row in torn]
     bars = [Bar.without("settings of ours keep every bit after every attack", "all", said, faults)]
     seconds = {(row["scene"], row["setting"]): row["cpu_seconds"] for row in rows}
     for other, most in (("fast", MOST_OF_FAST), ("balanced", MOST_OF_BALANCED)):
         shares = {
-            f"{_stem(scene)} {used / seconds[scene, other]:.2f}": used / seconds[scene, other]
+            f"{scene_name(scene)} {used / seconds[scene, other]:.2f}": used / seconds[scene, other]
             for (scene, setting), used in seconds.items()
             if setting == "auto" and (scene, other) in seconds
         }
         what, met = f"processor seconds of auto, in those of {other}", max(shares.values(), default=0.0) <= most
         bars.append(Bar(what, f"<= {most:g}", ", ".join(shares) + " (one run each)", met if shares else None))
-    spent = {_stem(row["scene"]): row["psnr_unseen"] for row in rows if row["setting"] == SPENT}
+    spent = {scene_name(row["scene"]): row["psnr_unseen"] for row in rows if row["setting"] == SPENT}
     seen, kept = ", ".join(f"{scene} {db:.1f}" for scene, db in spent.items()), min(spent.values(), default=0.0)
     bars.append(
         Bar(f"dB of {SPENT}, worst unseen view", f">= {LEAST_SPENT:g}", seen, kept >= LEAST_SPENT if spent else None)
@@ -143,7 +139,7 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
 
 def _result(rows: Sequence[Row], options: Options, machine: dict[str, Any]) -> dict[str, Any]:
     """The run as a file of docs/results (`engine.lab.evaluate.results_page`)."""
-    scenes = [_stem(scene) for scene in dict.fromkeys(row["scene"] for row in rows)]
+    scenes = [scene_name(scene) for scene in dict.fromkeys(row["scene"] for row in rows)]
     return {
         "what": "Profiles: speed against accuracy",
         "command": "make results SCENES='" + " ".join(Path(scene).name for scene in options.scenes) + "'",
@@ -162,7 +158,7 @@ def _result(rows: Sequence[Row], options: Options, machine: dict[str, Any]) -> d
 
 def _some(own: Sequence[Row], scenes: Sequence[str]) -> str:
     """Which scenes a line is of, where it is not of all."""
-    measured = [_stem(row["scene"]) for row in own]
+    measured = [scene_name(row["scene"]) for row in own]
     return "" if len(measured) == len(scenes) else f" ({', '.join(measured)})"
 
 

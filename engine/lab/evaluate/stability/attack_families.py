@@ -19,7 +19,7 @@ from engine.lab.evaluate.figures import FAINT, INK, Figure, figure, house_style,
 from engine.lab.evaluate.stability.stability_curves import Break, breaking_point, first_below, strength_at
 from engine.lab.evaluate.stability.sweeps import PICTURE_DB
 from engine.lab.evaluate.study import Row
-from engine.lab.evaluate.summary import distinct, grouped, picked
+from engine.lab.evaluate.summary import distinct, grouped, picked, scene_name
 from engine.model import Float64
 
 __all__ = ["FAMILIES", "READING", "draw_families", "family_curves", "family_result", "main"]
@@ -117,7 +117,7 @@ def draw_families(entries: Sequence[Row]) -> Figure:
         strengths = worst["strengths"]
         panel.set_xticks(range(len(strengths)), [f"{value:g}" for value in strengths])
         panel.set(
-            ylim=(40.0, 103.0), title=FAMILIES[family], xlabel=f"ours: worst scene {_stem(worst['scene'])} (thin)"
+            ylim=(40.0, 103.0), title=FAMILIES[family], xlabel=f"ours: worst scene {scene_name(worst['scene'])} (thin)"
         )
         label_line(panel, 100.0 * LEAST_BITS, "")
     for panel in axes[:, 0]:
@@ -146,7 +146,8 @@ def family_result(kept: dict[str, Any]) -> Row:
         claim = _broken(ours, "z", threshold)
         cells = [_said(picked(own, method=method), "bits", LEAST_BITS) for method in methods]
         least = np.mean(worst["z"], axis=0)[-1]
-        at = f"{_stem(worst['scene'])}: {_said([worst], 'z', threshold)}, z {least:.1f} at {worst['strengths'][-1]:g}"
+        end = f"z {least:.1f} at {worst['strengths'][-1]:g}"
+        at = f"{scene_name(worst['scene'])}: {_said([worst], 'z', threshold)}, {end}"
         lines.append([FAMILIES[family], _said(ours, "z", threshold) + _look(ours, claim.step), *cells, at])
     return {
         **{name: kept[name] for name in ("command", "seed", "machine", "commit")},
@@ -159,7 +160,7 @@ def family_result(kept: dict[str, Any]) -> Row:
         ],
         "rows": lines,
         "notes": [
-            f"[Figure](attack_families.png). {', '.join(_stem(scene) for scene in distinct(entries, 'scene'))}; means, "
+            f"[Figure](attack_families.png). {', '.join(map(scene_name, distinct(entries, 'scene')))}; means, "
             "and in brackets 95 % intervals over resampled trials, which are few; between two strengths that were "
             f"tried a curve may fall anywhere. Bits break below {LEAST_MATCHES} of {BITS}. The other methods "
             "stand for their class and were run by us, those for models at our PSNR, the one for pictures at "
@@ -194,10 +195,6 @@ def _look(ours: Sequence[Row], step: float) -> str:
         return ""
     mean: Float64 = np.mean(looks, axis=0)
     return f", {np.interp(step, np.arange(len(mean)), mean):.0f} dB"
-
-
-def _stem(scene: str) -> str:
-    return Path(scene).name.partition(".")[0]
 
 
 def main(arguments: list[str]) -> int:
