@@ -1,6 +1,9 @@
 """What is checked before an untrusted file is read: what it is, and how much it may make the reader allocate."""
 
+import gzip
+import io
 import json
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +22,9 @@ reached only by rows that all say the same (a 591 KB SPZ can hold 9.5 million of
 SMALL_BYTES = 1 << 20
 """More than a key, a certificate or a stamp has."""
 
+GZIP_MAGIC = b"\x1f\x8b"
+_PIECE = 1 << 20
+
 
 def read_small(path: Path) -> bytes:
     """A small file, its first SMALL_BYTES at most; InputError where it cannot be read."""
@@ -36,6 +42,19 @@ def check_count(count: int, size: int, *, file: str) -> None:
         raise FormatError(f"holds {count} Gaussians", file=file)
     if count > max(FREE_COUNT, GAUSSIANS_PER_BYTE * size):
         raise FormatError(f"claims {count} Gaussians in {size} bytes", file=file)
+
+
+def gunzip(data: bytes, size: int, *, file: str) -> bytes:
+    """The first bytes, at most `size`, of what a gzip file of one part or several holds; FormatError where it is
+    damaged or cut off before their end, or anything but zeros follows."""
+    try:
+        content = io.BytesIO()
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:  # in pieces: each is allocated before it is read
+            while piece := stream.read(min(_PIECE, size - content.tell())):
+                content.write(piece)
+        return content.getvalue()
+    except (gzip.BadGzipFile, EOFError, zlib.error) as fault:
+        raise FormatError(f"damaged gzip stream, or bytes follow it ({fault})", file=file) from None
 
 
 def json_object(text: bytes, *, file: str, element: str) -> Json:

@@ -14,6 +14,7 @@ from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
 from engine.formats.known_formats import KINDS, READ
 from engine.formats.other_files import advice_for, changed_as_text
 from engine.formats.repairs import Repair
+from engine.formats.wrappings import unwrapped
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
@@ -70,9 +71,18 @@ def read_model(
 
 def _decode(data: bytes, file: str, place: Place) -> LoadedModel:
     try:
-        kind, (model, repairs) = _read(data, file, place)
+        with unwrapped(data, place.folder, file=file) as (content, folder, inside):
+            if folder is not place.folder:  # of an archive
+                file, place = f"{file}, {inside}", Place(place.spz_frame, folder)
+            kind, (model, repairs) = _read(content, file, place)
     except MemoryError:
         raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
+    except FormatError:
+        if changed := changed_as_text(data):
+            raise FormatError(changed, file=file) from None
+        raise
+    if inside:
+        repairs = (Repair("unwrapped", 1, f"unpacked first ({inside})"), *repairs)
     return LoadedModel(model, kind.name, repairs, len(data), hashlib.sha256(data).hexdigest())
 
 
@@ -84,8 +94,6 @@ def _read(data: bytes, file: str, place: Place) -> tuple[Kind, Read]:
         kind = _told(data, file)
         read = kind.read(data, file, place)
     except FormatError:
-        if not splat and (changed := changed_as_text(data)):
-            raise FormatError(changed, file=file) from None
         if not splat:
             raise
         return SPLAT, SPLAT.read(data, file, place)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 RAW_PHOTO = "is a camera's raw file: save the developed picture as PNG or JPEG"
 RAW_ENDINGS = (".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw", ".dng")
 
-ZIP_WITHOUT_SCENE = "is a zip archive without meta.json, no SOG scene: unpack it, and give one model of those in it"
+ZIP_WITHOUT_SCENE = (
+    "is a zip archive without a model in it (.ply, .sog, .spz and so on; a SOG scene's has a meta.json): give the model"
+)
 
 _HEAD, _TAIL = 4096, 1 << 16
 _FEW_ENDS = 32
@@ -64,7 +66,7 @@ _KINDS = (
         "holds the weights of a network or the tensors of a training: export its Gaussians as .ply",
         (b"\x89HDF",),
         lambda data: data[4:9] == b"\0\0\0\0{",  # safetensors: the length of a JSON header, and that
-        (".safetensors", ".h5", ".hdf5", ".onnx"),
+        (".safetensors", ".h5", ".hdf5", ".onnx", ".ingp", ".msgpack"),
     ),
     _Other(
         "is a scene of XGRIDS (LCC), one file of several: export .ply from LCC Studio, or " + _CONVERTED,
@@ -83,7 +85,10 @@ _KINDS = (
         (b"KG\0\0", b"spx"),
         endings=(".splatv", ".spx"),
     ),
-    _Other("is a Postshot project: export the scene as .ply (File > Export)", endings=(".psht",)),
+    _Other(
+        "is a project or a checkpoint of Postshot or LichtFeld Studio: export the scene as .ply (File > Export)",
+        endings=(".psht", ".licht", ".resume"),
+    ),
     _Other(
         "is a list of 3D Tiles, or a tile of a version before 1.1: give one of the .glb files with Gaussians that a"
         " tileset.json names",

@@ -21,6 +21,7 @@ from engine.formats.model_reading import weigh_files
 from engine.formats.ply.header import MAX_HEADER_BYTES
 from engine.formats.points import read_points
 from engine.formats.repairs import Repair
+from engine.formats.wrappings import unwrapped
 from engine.model import GaussianModel
 from engine.scenes.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
 from engine.scenes.codebook_model import CodebookModel
@@ -132,8 +133,9 @@ def read_suspect(path: str | os.PathLike[str], *, name: str | None = None, spz_f
         with opening(Path(path), file):
             data = b"" if Path(path).is_dir() else read_regular(Path(path), file)
         folder = Path(path).parent if name is None else None  # another's file may not name those beside it
-        if (found := read_points(data, file=file, folder=folder)) is None:
-            raise
+        with unwrapped(data, folder, file=file) as (content, beside, _):
+            if (found := read_points(content, file=file, folder=beside)) is None:
+                raise
         return Loaded(found[0], POINTS, found[1], len(data), hashlib.sha256(data).hexdigest())
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import io
 import os
@@ -139,13 +138,6 @@ def test_text_of_any_language_is_named(text: str, encoding: str, advice: str) ->
         read_model(text.encode(encoding))
 
 
-def test_a_zip_with_a_scene_in_it_is_no_scene(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-        archive.writestr("web/scene.sog", encode_model(random_model(0, 50), "sog"))
-    with pytest.raises(UnsupportedFormatError, match="unpack it, and give one model"):
-        read_model(tmp_path / "a.zip")
-
-
 def zip_of(*names: str) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
@@ -217,17 +209,6 @@ def test_a_splat_that_is_cut_off_is_named_as_one(cut: int) -> None:
         with pytest.raises(FormatError, match="no multiple of 32 bytes: cut off") as caught:
             read_model(encode_model(random_model(0, 200), "splat")[:-cut], name=name)
         assert caught.value.row == 199
-
-
-def test_a_packed_model_is_to_be_unpacked() -> None:
-    """Mail programs and shops pack what they send."""
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("scan/plant.ply", b"ply\n")
-    with pytest.raises(FormatError, match="no SOG scene: unpack it"):
-        read_model(file.getvalue())
-    with pytest.raises(FormatError, match=r"no SPZ file .*: unpack it"):
-        read_model(gzip.compress(b"ply\nformat ascii 1.0\n" + bytes(40)))
 
 
 @pytest.mark.parametrize("kind", ["ply", "spz", "splat", "glb"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -156,11 +155,6 @@ def test_values_between_commas_are_named() -> None:
         text = text if between == ", " else text.replace(".", ",")
         with pytest.raises(FormatError, match=words):
             read_model(head + b"end_header\n" + text.encode())
-
-
-def test_gzip_around_another_file_says_what_is_in_it() -> None:
-    with pytest.raises(FormatError, match=r"is gzip, but no SPZ file .in it: b'ply.n' .*gunzip"):
-        read_model(gzip.compress(plain_ply(NAMES, ROWS)))
 
 
 def test_a_gltf_of_a_program_of_windows() -> None:

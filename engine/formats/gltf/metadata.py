@@ -13,6 +13,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.formats.gltf.container import pack_glb, unpack
+from engine.formats.wrappings import unwrapped
 
 EXTENSION = "KHR_xmp_json_ld"
 MOST_CHARACTERS = 1000
@@ -76,7 +77,8 @@ def read_metadata(data: bytes, *, file: str) -> Metadata | None:
 
     FormatError if the asset cannot be read at all.
     """
-    asset = unpack(data, file=file)
+    with unwrapped(data, None, file=file) as (content, _, _):
+        asset = unpack(content, file=file)
     index = _extension(asset.json.get("asset")).get("packet")
     packets = _extension(asset.json).get("packets")
     if not isinstance(packets, list) or type(index) is not int or not 0 <= index < len(packets):

@@ -67,7 +67,8 @@ class ZipArchive:
         if entry.file_size > limit:
             raise FormatError(f"{entry.file_size} bytes, at most {limit} expected", file=self._file, element=name)
         if entry.flag_bits & 1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise FormatError("is neither stored nor deflated", file=self._file, element=name)
+            message = "is encrypted, or neither stored nor deflated: unpack the archive"
+            raise FormatError(message, file=self._file, element=name)
         try:
             with self._zip.open(entry) as stream:
                 part = stream.read(limit + 1)
@@ -92,6 +93,11 @@ class ZipArchive:
             text = f"zip archive holds {len(outermost)} scenes ({', '.join(outermost[:3])[:120]}): give one of them"
             raise FormatError(text, file=self._file)
         return outermost[0].removesuffix(name)
+
+    @property
+    def names(self) -> list[str]:
+        """Paths of all entries."""
+        return list(self._entries)
 
     def has(self, name: str) -> bool:
         """Whether there is a part of this name, at the top or in a folder."""

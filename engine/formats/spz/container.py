@@ -1,7 +1,5 @@
 """The containers of SPZ: one stream, gzip or plain (versions 1 to 3), and a header with zstd streams (version 4)."""
 
-import gzip
-import io
 import struct
 import zlib
 from dataclasses import dataclass
@@ -9,12 +7,11 @@ from itertools import accumulate, pairwise
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import zstd
-from engine.formats.guards import check_count
+from engine.formats.guards import GZIP_MAGIC, check_count, gunzip
 
 MAGIC = 0x5053474E
 """The bytes "NGSP"."""
 
-GZIP_MAGIC = b"\x1f\x8b"
 ANTIALIASED, HAS_EXTENSIONS, LEVELS_OF_DETAIL = 0x01, 0x02, 0x80
 """Bits of the header's flags. The last is Spark's: the rows are a tree of nested levels, not one scene."""
 
@@ -91,13 +88,11 @@ def unpack(data: bytes, *, file: str) -> Payload:
 
 def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
-        inside = f"in it: {magic.to_bytes(4, 'little')!a} and more"
-        message = f"is gzip, but no SPZ file ({inside}): unpack it (gunzip), and give what is in it"
-        raise FormatError(message, file=file)
+        raise FormatError("is no SPZ file", file=file)
     if header.version not in versions:
-        message = f"SPZ version {header.version}, read are 1 to 4: export one of these, or .ply"
-        if header.version == 4:
-            message = "SPZ version 4 inside gzip, which it has no need of: unpack it first (gunzip)"
+        message = (
+            f"SPZ version {header.version}, read are 1 to 3, in gzip or plain, and 4: export one of these, or .ply"
+        )
         raise UnsupportedFormatError(message, file=file, element="header")
     if header.sh_degree > MAX_DEGREE:
         message = f"spherical harmonics of degree {header.sh_degree}, read are 0 to {MAX_DEGREE}"
@@ -122,24 +117,10 @@ def _stream_header(head: bytes, size: int, *, file: str) -> Header:
 
 
 def _unpack_gzip(data: bytes, *, file: str) -> Payload:
-    inflater = zlib.decompressobj(wbits=31)
-    try:
-        head = inflater.decompress(data, _HEADER.size)
-        header = _stream_header(head, len(data), file=file)
-        # One byte more than may be there: it tells a longer stream apart and lets zlib reach its checksum.
-        most = sum(header.section_sizes) + header.spare + 1
-        body = inflater.decompress(inflater.unconsumed_tail, most)
-        if inflater.unused_data.startswith(GZIP_MAGIC):  # several members, as bgzip and `cat` leave them
-            with gzip.GzipFile(fileobj=io.BytesIO(inflater.unused_data)) as others:
-                return _split(header, body + others.read(most - len(body)), file=file)
-    except (zlib.error, gzip.BadGzipFile, EOFError) as fault:
-        raise FormatError(f"damaged gzip stream ({fault})", file=file) from None
-    payload = _split(header, body, file=file)
-    if not inflater.eof:
-        raise FormatError("gzip stream is cut off", file=file)
-    if inflater.unused_data:
-        raise FormatError(f"{len(inflater.unused_data)} bytes follow the gzip stream", file=file)
-    return payload
+    header = _stream_header(gunzip(data, _HEADER.size, file=file), len(data), file=file)
+    # One byte more than may be there: it tells a longer stream apart, and the checksum is reached.
+    most = _HEADER.size + sum(header.section_sizes) + header.spare + 1
+    return _split(header, gunzip(data, most, file=file)[_HEADER.size :], file=file)
 
 
 def _split(header: Header, body: bytes, *, file: str) -> Payload:
