@@ -35,8 +35,8 @@ def with_extras(model: GaussianModel) -> GaussianModel:
     rows = np.arange(len(model))
     return carrying(
         model,
-        "made by J\u00f6rg".encode().decode("latin-1"),
-        "a  comment   with blanks \u00e0 la carte".encode().decode("latin-1"),
+        "made by J\u00f6rg",
+        "a  comment   with blanks \u00e0 la carte",
         label=(rows % 7).astype("u1"),
         confidence=rng.random(len(model)),
         tint=rng.integers(-9, 9, len(model)).astype("<i2"),

@@ -329,7 +329,9 @@ NAMED = "comment VCGLIB generated\ncomment TextureFile skin.png\n"
 @pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
 @pytest.mark.parametrize("faces", [CORNERED, NUMBERED])
 def test_the_texture_of_a_ply_gives_its_corners_colors(faces: str, kind: str, tmp_path: Path) -> None:
-    loaded = read_suspect(ply_mesh(tmp_path, NAMED, faces, kind=kind))
+    path = ply_mesh(tmp_path, NAMED.replace("skin", "Häute 1"), faces, kind=kind)
+    (tmp_path / "skin.png").rename(tmp_path / "Häute 1.png")
+    loaded = read_suspect(path)
     assert loaded.format == "points"
     np.testing.assert_allclose(loaded.model.means, PLACES, atol=1e-6)
     np.testing.assert_allclose(0.5 + SH_C0 * loaded.model.sh[:, 0], COLORS, atol=0.003)

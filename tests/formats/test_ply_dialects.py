@@ -215,7 +215,7 @@ def test_names_in_another_case_are_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("scale_0", "size_x"), ("rot_0", "qw"), ("opacity", "alpha"), ("x", "position_x")]
+    ("old", "new"), [("scale_0", "size_x"), ("rot_0", "quat_w"), ("opacity", "alpha"), ("x", "position_x")]
 )
 def test_what_is_missing_is_said_with_what_is_there(old: str, new: str) -> None:
     renamed = {new if name == old else name: column for name, column in floats().items()}

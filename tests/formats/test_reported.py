@@ -75,6 +75,9 @@ ROWS = rows_for(NAMES, 40)
         (["rotation_0", "rotation_1", "rotation_2", "rotation_3"], "rot"),
         (["scale_x", "scale_y", "scale_z"], "scale"),
         (["scaling_0", "scaling_1", "scaling_2"], "scale"),
+        (["qw", "qx", "qy", "qz"], "rot"),
+        (["features_dc_0", "features_dc_1", "features_dc_2"], "f_dc"),
+        (["sh_dc_0", "sh_dc_1", "sh_dc_2"], "f_dc"),
     ],
 )
 def test_names_of_scripts(other: list[str], own: str) -> None:
@@ -86,8 +89,8 @@ def test_names_of_scripts(other: list[str], own: str) -> None:
 
 
 def test_names_that_are_not_known_are_named() -> None:
-    names = [name.replace("f_dc_", "features_dc_") for name in NAMES]
-    with pytest.raises(FormatError, match=r"'f_dc_0': is missing; not known here: 'features_dc_0', .*codebook"):
+    names = [name.replace("f_dc_", "colour_") for name in NAMES]
+    with pytest.raises(FormatError, match=r"'f_dc_0': is missing; not known here: 'colour_0', .*codebook"):
         read_model(plain_ply(names, ROWS))
 
 
@@ -113,8 +116,10 @@ def test_an_element_of_another_name() -> None:
     assert loaded.repairs[0].text == "element 'gaussian' was read as 'vertex'"
     head, body = whole.replace(b"element vertex", b"element vertex_background").split(b"end_header\n")
     again = head[head.index(b"element") :].replace(b"background", b"obj_001")
-    with pytest.raises(FormatError, match="no element 'vertex', only 'vertex_background', 'vertex_obj_001'"):
-        read_model(head + again + b"end_header\n" + body + body)
+    for name in (b"vertex_background", b"vertex"):
+        renamed = head.replace(b"vertex_background", name)
+        with pytest.raises(UnsupportedFormatError, match=f"2 elements .'{name.decode()}', 'vertex_obj_001'.*a file of"):
+            read_model(renamed + again + b"end_header\n" + body + body)
 
 
 def test_headers_as_others_write_them() -> None:
@@ -131,6 +136,8 @@ def test_headers_as_others_write_them() -> None:
     assert_same(loaded.model, plain)
     written = encode_model(loaded.model, "ply")
     assert b"property float " + name + b"\n" in written
+    assert b"property float \xd6l\n" in written  # Latin-1
+    assert r"'scalar_Höhe_à', '\udcd6l'" in loaded.repairs[0].text
     assert_same(read_model(written).model, plain)
 
 
@@ -193,6 +200,8 @@ def test_the_folder_of_a_training_names_its_model(tmp_path: Path) -> None:
         ("a.splatv", b"KG\0\0\x64\0\0\0[{}]" + bytes(range(1, 200)), "moves"),
         ("a.spx", b"spx\1" + bytes(range(1, 200)), "gsbox spx2ply"),
         ("a_pos.bytes", bytes(range(1, 200)), "Unity"),
+        ("a.licht", bytes(range(1, 200)), "LichtFeld Studio: export the scene as .ply"),
+        ("a.ingp", bytes(range(1, 200)), "export its Gaussians"),
         ("meta.json", b'{"means": {"shape": [9, 3]}, "opacities": {}}', "gsplat's own compression"),
     ],
 )
@@ -239,3 +248,44 @@ def test_a_point_cloud_of_a_training_names_the_model() -> None:
     names = ["x", "y", "z", "nx", "ny", "nz"]
     with pytest.raises(UnsupportedFormatError, match=r"point_cloud/iteration_N/point_cloud\.ply"):
         read_model(plain_ply(names, np.zeros((9, 6))))
+
+
+@pytest.mark.parametrize("kind", ["float", "int"])
+def test_gaussians_that_ride_on_a_mesh_are_no_scene(kind: str) -> None:
+    """GaussianAvatars stores each in the frame of its triangle: read as they are, all lie in one heap."""
+    whole = plain_ply([*NAMES, "binding_0"], np.hstack([ROWS, np.arange(40)[:, None]]))
+    with pytest.raises(UnsupportedFormatError, match=r"'binding_0': the Gaussians ride on a mesh.*export a moment"):
+        read_model(whole.replace(b"float binding_0", f"{kind} binding_0".encode()))
+
+
+@pytest.mark.parametrize("flat", [-30.0, -np.inf])
+def test_flat_gaussians_do_not_lie_far_out(flat: float) -> None:
+    """Three scales of a 2DGS or PGSR model: how far a center may be rounded follows from the size within the disc."""
+    rows = np.zeros((90, len(NAMES)), np.float32)
+    rows[:, :3] = np.random.default_rng(0).normal(0, 3, (90, 3))
+    rows[:, NAMES.index("scale_0") : NAMES.index("scale_0") + 3] = [-4, -4, flat]
+    loaded = read_model(plain_ply(NAMES, rows))
+    assert "centers_coarse" not in [each.code for each in loaded.repairs]
+    rows[:, 0] += 4e6
+    assert "centers_coarse" in [each.code for each in read_model(plain_ply(NAMES, rows)).repairs]
+
+
+def test_what_a_gltf_hides_is_left_out() -> None:
+    """KHR_node_visibility, of a node or of one above it."""
+    parsed, binary = asset_of(splats(9, 0), splats(7, 0, 1))
+    parsed["nodes"] += [{"children": [1], "extensions": {"KHR_node_visibility": {"visible": False}}}]
+    parsed["scenes"] = [{"nodes": [0, 2]}]
+    parsed["extensionsRequired"] = ["KHR_node_visibility"]
+    loaded = read_model(glb_of(parsed, binary))
+    assert len(loaded.model) == 9
+    assert "'1 meshes that its scene does not show'" in loaded.repairs[0].text
+    parsed["nodes"][2]["extensions"]["KHR_node_visibility"]["visible"] = True
+    assert len(read_model(glb_of(parsed, binary)).model) == 16
+
+
+@pytest.mark.parametrize(
+    ("change", "what"), [(lambda data: data[:-9], "cut off"), (lambda d: d + b"\0", "bytes follow")]
+)
+def test_a_glb_of_another_length(change: Callable[[bytes], bytes], what: str) -> None:
+    with pytest.raises(FormatError, match=f"are there: {what}"):
+        read_model(change(glb_of(*asset_of(splats(9, 0)))))

@@ -188,3 +188,12 @@ def test_gaussians_that_a_transform_moves_are_refused() -> None:
     uniform token[] xformOpOrder = ["xformOp:translate"]"""
     with pytest.raises(UnsupportedFormatError, match="moves with time"):
         read_model(scene(above=moved))
+
+
+@needs_usd
+def test_colors_of_linear_light_are_refused() -> None:
+    """fvdb and 3DGRUT name the space of their colors; the usual one is no news."""
+    name = 'uniform token colorSpace:name = "{}"'
+    with pytest.raises(UnsupportedFormatError, match="colors are 'lin_rec709_scene', read are those of screens"):
+        read_model(scene(body=name.format("lin_rec709_scene")))
+    assert read_model(scene(body=name.format("srgb_rec709_display"))).repairs == ()

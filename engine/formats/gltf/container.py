@@ -93,7 +93,8 @@ class Asset:
         """
         accessor, element = self.row("accessors", index), f"accessor {index}"
         if "sparse" in accessor:
-            raise UnsupportedFormatError("is sparse", file=self.file, element=element, prop=prop)
+            message = "is sparse, which is not read: export it as .ply or .spz"
+            raise UnsupportedFormatError(message, file=self.file, element=element, prop=prop)
         code, kind = accessor.get("componentType"), accessor.get("type")
         width = _WIDTHS.get(str(kind))
         if not isinstance(code, int) or code not in _CODES or width is None or width not in widths:
@@ -174,7 +175,8 @@ def unpack(data: bytes, *, file: str, folder: Path | None = None) -> Asset:
     if version != 2:
         raise UnsupportedFormatError(f"glTF version {version}, read is 2", file=file, element="header")
     if total != len(data):
-        raise FormatError(f"says it has {total} bytes, but {len(data)} are there", file=file, element="header")
+        what = "cut off" if total > len(data) else "bytes follow"
+        raise FormatError(f"says it has {total} bytes, {len(data)} are there: {what}", file=file, element="header")
     length, kind = _CHUNK.unpack_from(data, _HEADER.size)
     start = _HEADER.size + _CHUNK.size
     if kind != _JSON or start + length > total:

@@ -13,13 +13,13 @@ import numpy as np
 
 from engine.errors import FormatError
 from engine.formats.gltf.container import Asset, unpack
-from engine.formats.gltf.nodes import primitives_of, shown_meshes
+from engine.formats.gltf.nodes import VISIBILITY, primitives_of, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.textures import Textures
 from engine.model import Float32, Float64
 from engine.numerics.srgb import from_linear, to_linear
 
-_UNDERSTOOD = {"KHR_mesh_quantization", "KHR_materials_unlit", "EXT_texture_webp"}
+_UNDERSTOOD = {VISIBILITY, "KHR_mesh_quantization", "KHR_materials_unlit", "EXT_texture_webp"}
 _AS_SHOWN = ("trimesh", "open3d", "tinygltf", "meshlab", "vcg")
 """Parts of the names of programs that store colors at corners as screens show them, against the specification."""
 

@@ -15,6 +15,7 @@ from engine.model import Float64
 from engine.numerics.similarity import quaternion_to_rotation
 
 MAX_NODES = 1 << 14
+VISIBILITY = "KHR_node_visibility"
 _UNEVEN = 1e-4
 """Relative difference of the axes' scales, or of a rotation's columns from right angles, that float32 may leave."""
 
@@ -39,10 +40,19 @@ def shown_meshes(asset: Asset) -> Iterator[tuple[int, Float64]]:
         if index in seen:
             raise asset.fault(f"node {index} is there twice: nodes must be trees", "nodes")
         seen.add(index)
+        if _is_hidden(node):
+            continue
         matrix = above @ _matrix(asset, node, index)
         waiting += [(child, matrix) for child in reversed(_list(asset, node, "children", index))]
         if "mesh" in node:
             yield node["mesh"], matrix
+
+
+def _is_hidden(node: Mapping[str, Any]) -> bool:
+    """By KHR_node_visibility, which holds for all below the node, too."""
+    for key in ("extensions", VISIBILITY):
+        node = node.get(key, {}) if isinstance(node, dict) else {}
+    return isinstance(node, dict) and node.get("visible") is False
 
 
 def primitives_of(asset: Asset, mesh: object) -> list[Mapping[str, Any]]:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.declaration import Place
 from engine.formats.gltf.container import MAGIC, UNPACK, Asset, pack_glb, unpack
-from engine.formats.gltf.nodes import as_similarity, primitives_of, shown_meshes
+from engine.formats.gltf.nodes import VISIBILITY, as_similarity, primitives_of, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
@@ -35,7 +35,7 @@ TO_PLY = FrameChange(np.array([-1.0, -1.0, 1.0]))
 """Half a turn about z; its own inverse."""
 
 SPZ = EXTENSION + "_compression_spz_2"
-_KNOWN = {EXTENSION, SPZ, "KHR_mesh_quantization", "KHR_materials_unlit"}
+_KNOWN = {EXTENSION, SPZ, VISIBILITY, "KHR_mesh_quantization", "KHR_materials_unlit"}
 """What a file may require: the second allows integers for positions, the third says how points look elsewhere."""
 _SCENE = {"asset", "extensionsUsed", "extensionsRequired", "scene", "scenes", "nodes", "meshes"}
 _SCENE |= {"buffers", "bufferViews", "accessors"}

@@ -14,7 +14,7 @@ from engine.formats.modes import comment_of, mode_of_comments, with_mode
 from engine.formats.morton import morton_order
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.extras import carried_by, carrying, ignored, lines_of
-from engine.formats.ply.header import Element, Header, parse_header
+from engine.formats.ply.header import ANY_BYTES, Element, Header, parse_header
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.model import SH_C0, Float32, GaussianModel
 
@@ -118,7 +118,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     lines += [f"element vertex {count}", *(f"property uint {word}" for word in _WORDS)]
     if rest.shape[1]:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
-    header = ("\n".join([*lines, "end_header"]) + "\n").encode("latin-1")
+    header = ("\n".join([*lines, "end_header"]) + "\n").encode(*ANY_BYTES)
     return b"".join([header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), rest.tobytes()])
 
 

@@ -8,18 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
-from engine.formats.ply.extras import named
+from engine.formats.ply.extras import GAUSSIAN, named
 from engine.formats.ply.header import TYPE_NAMES, Header
 from engine.formats.repairs import LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, VISIBLE_ROUNDING, Repair
 from engine.model import SH_C0, Float32
 
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-_GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
-_ALIASES = {
-    f"{other}_{i}": f"{own}_{i}" for own, other in (("rot", "rotation"), ("scale", "scaling")) for i in range(4)
-}
-_ALIASES |= {f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")}
+_OTHERS = {"rot": ("rotation",), "scale": ("scaling", "scales"), "f_dc": ("features_dc", "sh_dc", "dc")}
+_ALIASES = {f"{other}_{i}": f"{own}_{i}" for own, others in _OTHERS.items() for other in others for i in range(4)}
+_ALIASES |= {f"{start}{axis}": f"rot_{i}" for i, axis in enumerate("wxyz") for start in ("rot_", "q")}
 _ALIASES |= {f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")}  # names that scripts write, and INRIA's
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}
 _LEAST_HALF = 2.0**-10
@@ -41,7 +39,7 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
     colors where the first coefficients should be (nerfstudio: ``red``, ``green``, ``blue``)."""
     vertex, repairs = header.element("vertex"), list[Repair]()
     if vertex is None:
-        gaussians = [element for element in header.elements if element.names >= _GAUSSIAN]
+        gaussians = [element for element in header.elements if element.names >= GAUSSIAN]
         if len(gaussians) != 1:
             return header, []
         vertex = gaussians[0]
@@ -60,11 +58,12 @@ def plain_names(header: Header) -> tuple[Header, list[Repair]]:
     ):
         new = [rename(name) for name in names]
         changed = [old for old, name in zip(names, new, strict=True) if old != name]
-        if set(new) >= _GAUSSIAN > set(names) & _GAUSSIAN and len(set(new)) == len(new):
+        gained = (set(new) - set(names)) & {*GAUSSIAN, DC[0]}
+        if set(new) >= GAUSSIAN and gained and len(set(new)) == len(new):
             repairs.append(Repair(code, len(changed), f"names {named(changed)} were read {how}"))
             names = new
     colors = next((c for c in COLORS if set(c) <= set(names)), None)
-    if colors and not set(DC) & set(names) and set(names) >= _GAUSSIAN:
+    if colors and not set(DC) & set(names) and set(names) >= GAUSSIAN:
         table = dict(zip(colors, DC, strict=True))
         names = [table.get(name, name) for name in names]
         text = f"colors {named(colors)} were read as the first coefficients of harmonics"
@@ -134,7 +133,7 @@ def georeferenced(
         return origin, _coarse(means, log_scales)
     with np.errstate(over="ignore", invalid="ignore"):
         exact = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)  # (N, 3)
-        allowed = VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1, dtype=np.float64))
+        allowed = VISIBLE_ROUNDING * np.exp(np.median(log_scales, axis=1).astype(np.float64))  # of a disc, within it
         rows, _ = _rounded(exact, allowed)
         if not len(rows):
             return origin, []
@@ -160,7 +159,7 @@ def _coarse(means: Float32, log_scales: Float32) -> list[Repair]:
     """What is said where most centers lie so far out that float32 had no digits left for them."""
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.spacing(np.abs(means).max(axis=1)) / 2
-        rows = np.flatnonzero(steps > VISIBLE_ROUNDING * np.exp(log_scales.mean(axis=1)))
+        rows = np.flatnonzero(steps > VISIBLE_ROUNDING * np.exp(np.median(log_scales, axis=1)))
     if 2 * len(rows) <= len(means):
         return []
     text = (

@@ -20,6 +20,8 @@ from engine.model import Carried, Float32
 FILTER = "filter_3D"
 """Deviation of Mip-Splatting's 3D smoothing filter, scene units."""
 
+GAUSSIAN = {"opacity", "scale_0", "rot_0"}  # a point cloud has none of them
+
 _HEADER_ROOM = 4096
 """Bytes by which the header that is written may be longer than the one that was read."""
 
@@ -43,6 +45,9 @@ def is_motion(name: str) -> bool:
 
 def refuse_motion(vertex: Element, *, file: str) -> None:
     """UnsupportedFormatError naming the properties if these Gaussians move: nothing of it has a place in a model."""
+    if "binding_0" in vertex.names:  # GaussianAvatars, SurFhead
+        message = "the Gaussians ride on a mesh, each stored in the frame of a triangle: export a moment as plain ones"
+        raise UnsupportedFormatError(message, file=file, element="vertex", prop="binding_0")
     textured = {"s", "t"} <= vertex.names  # coordinates of a texture, as Blender writes them
     moving = [p.name for p in vertex.properties if is_motion(p.name) and not (textured and p.name == "t")]
     if moving:
@@ -51,8 +56,13 @@ def refuse_motion(vertex: Element, *, file: str) -> None:
         raise UnsupportedFormatError(message, file=file, element="vertex", prop=moving[0])
 
 
-def refuse_codebooks(header: Header, *, file: str) -> None:
-    """UnsupportedFormatError if the vertices are indices into codebooks (Papantonakis et al. 2024, "V2" of INRIA)."""
+def refuse_elements(header: Header, *, file: str) -> None:
+    """UnsupportedFormatError if several elements have the properties of a Gaussian, or the vertices are indices into
+    codebooks (Papantonakis et al. 2024, "V2" of INRIA)."""
+    several = [element.name for element in header.elements if element.names >= GAUSSIAN]
+    if len(several) > 1:  # Street Gaussians: those of a thing that moves stand in its own frame
+        message = f"holds Gaussians in {len(several)} elements ({named(several)}), which may move against each other:"
+        raise UnsupportedFormatError(message + " export each as a file of its own", file=file, element=several[1])
     if header.element("codebook_centers") is not None:
         message = "the Gaussians are indices into codebooks; export plain float properties"
         raise UnsupportedFormatError(message, file=file, element="codebook_centers")

@@ -15,7 +15,7 @@ from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with
 from engine.formats.ply import extras
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.dialects import DC, activation_hints, dc_of_colors, georeferenced, plain_names, plain_types
-from engine.formats.ply.header import Element, Header, parse_header
+from engine.formats.ply.header import ANY_BYTES, Element, Header, parse_header
 from engine.formats.ply.lists import plain_lists
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean, degree_dropped
 from engine.kernels.jit import kernel, parallel_kernel, share_of
@@ -102,7 +102,7 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     names = [name for name in names if name not in more]  # normals that are carried
     kinds = {name: "double" if any(model.origin) and name in _AXES else "float" for name in names}
     lines += [f"property {kinds[name]} {name}" for name in names] + properties
-    yield ("\n".join([*lines, "end_header"]) + "\n").encode("latin-1")
+    yield ("\n".join([*lines, "end_header"]) + "\n").encode(*ANY_BYTES)
 
     arrays = {
         "means": model.means,
@@ -130,7 +130,7 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
 def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[str], list[Repair]]:
     """The vertex element once it is known to hold Gaussians, the properties that are read, those that are none of a
     Gaussian, and what the file holds besides."""
-    extras.refuse_codebooks(header, file=file)
+    extras.refuse_elements(header, file=file)
     vertex = header.element("vertex")
     if vertex is None:
         there = ", ".join(repr(e.name) for e in header.elements[:5])
@@ -259,7 +259,7 @@ def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: froz
     columns = _columns(arrays, present, channel)
     places = {name: field[1] for name, field in (records.dtype.fields or {}).items() if field[0] == np.dtype("<f4")}
     if places.keys() >= columns.keys():
-        data = np.frombuffer(records.data, dtype=np.uint8).reshape(len(records), records.itemsize)
+        data = records.view(np.uint8).reshape(len(records), records.itemsize)
         properties = _properties(arrays["sh"].shape[1], channel)
         # What a file lacks, the third scale of discs, is set afterwards.
         sources = tuple(np.array([places.get(name, 0) for name in names]) for names in properties.values())

@@ -22,7 +22,9 @@ TYPE_NAMES |= {"i8": "int64", "u8": "uint64"}
 
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _COUNT = re.compile(r"[0-9]{1,15}", re.ASCII)
-_NAME = re.compile(r"[\x21-\x7e\x80-\xff]{1,80}")
+_NAME = re.compile(r"[^\x00-\x20\x7f]{1,80}")
+ANY_BYTES = ("utf-8", "surrogateescape")
+"""How names and comments are decoded, and encoded again: what is no UTF-8 comes back as it was."""
 
 
 @dataclass(frozen=True)
@@ -117,12 +119,12 @@ class _Parser:
         self.comments: list[str] = []
 
     def take(self, line: bytes) -> None:
-        words = [word.decode("latin-1") for word in line.split()]  # of bytes: some of UTF-8 are blanks of that
+        words = [word.decode(*ANY_BYTES) for word in line.split()]
         if not words:
             return
         keyword = words[0].lower()
         if keyword in ("comment", "obj_info"):
-            self.comments.append(line.strip().partition(words[0].encode())[2].strip().decode("latin-1"))
+            self.comments.append(line.strip().partition(words[0].encode())[2].strip().decode(*ANY_BYTES))
             return
         if keyword == "format" and len(words) == 3:
             self._format(words[1], words[2])
@@ -133,7 +135,7 @@ class _Parser:
         elif keyword == "property" and len(words) == 5 and words[1] == "list":
             self._property(Property(words[4], self._type(words[2], words[4]), self._type(words[3], words[4])))
         else:
-            raise self._fault(f"cannot read the header line {_show(line.decode('latin-1'))}")
+            raise self._fault(f"cannot read the header line {_show(line.decode(*ANY_BYTES))}")
 
     def finish(self, size: int) -> Header:
         if self.byte_order is None:

@@ -25,7 +25,7 @@ MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 8
 
 SCHEMA = "ParticleField3DGaussianSplat"
 SH, DEGREE = "radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree"
-OTHERS = "others"
+OTHERS, SPACE = "others", "colorSpace:name"
 FIELDS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, SH: 3}
 """Attributes of a Gaussian: floats, or half floats under a name that ends in "h"; and the width of a row."""
 
@@ -80,6 +80,10 @@ def _arrays(path: Path) -> Iterator[tuple[str, npt.NDArray[Any]]]:
             name = str(prim.GetPath())
             if any(UsdGeom.Xformable(p).TransformMightBeTimeVarying() for p in _upwards(prim) if UsdGeom.Xformable(p)):
                 raise UnsupportedFormatError("moves with time: export one moment", element=name, prop="xformOp")
+            space = str(prim.GetAttribute(SPACE).Get() or "")
+            if space.startswith(("lin", "acescg", "g18", "g22")):
+                message = f"colors are {space[:40]!a}, read are those of screens: export sRGB"
+                raise UnsupportedFormatError(message, element=name, prop=SPACE)
             yield f"{number}/name", np.array(name)
             yield f"{number}/{DEGREE}", np.array(prim.GetAttribute(DEGREE).Get())
             matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
@@ -103,7 +107,7 @@ def _others(stage: Any, shown: list[Any]) -> Iterator[str]:
     for prim in stage.Traverse():
         if prim.GetTypeName() not in ("", "Xform", "Scope") and prim not in shown:
             yield str(prim.GetPath())
-    known = {DEGREE, "extent", "visibility", "xformOpOrder", *FIELDS, *(name + "h" for name in FIELDS)}
+    known = {DEGREE, SPACE, "extent", "visibility", "xformOpOrder", *FIELDS, *(name + "h" for name in FIELDS)}
     names = {each.GetName() for prim in shown for each in prim.GetAuthoredAttributes()}
     yield from sorted(name for name in names - known if not name.startswith("xformOp:"))
 
