@@ -65,9 +65,11 @@ def sign(
     record_id = read_header(read_bytes(record, "record")).record_id
     with console.progress() as progress:
         progress("read", 0.0)
-        kind = read_model(model, spz_frame=spz_frame).format  # who signs knows that it is a model
-    if not model.is_file():
-        raise InputError(f"{str(model)!r} is a folder: pack it ('mark3dgs convert') and sign the file")
+        loaded = read_model(model, spz_frame=spz_frame)  # who signs knows that it is a model
+    kind, unpacked = loaded.format, any(each.code == "unwrapped" for each in loaded.repairs)
+    if unpacked or not model.is_file():
+        what = "is packed: unpack it" if unpacked else "is a folder: pack it ('mark3dgs convert')"
+        raise InputError(f"{str(model)!r} {what} and sign the file")
     inside = kind == EMBEDS
     if inside != (out.suffix.lower() == f".{EMBEDS}"):
         where = (

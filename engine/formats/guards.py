@@ -3,6 +3,7 @@
 import gzip
 import io
 import json
+import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,15 +25,7 @@ SMALL_BYTES = 1 << 20
 
 GZIP_MAGIC = b"\x1f\x8b"
 _PIECE = 1 << 20
-
-
-def read_small(path: Path) -> bytes:
-    """A small file, its first SMALL_BYTES at most; InputError where it cannot be read."""
-    try:
-        with path.open("rb") as opened:
-            return opened.read(SMALL_BYTES)
-    except OSError as error:
-        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
+_ADDRESS = re.compile(r"(https?|ftp|s3|gs|file):/")  # of two slashes, a path keeps one
 
 
 def check_count(count: int, size: int, *, file: str) -> None:
@@ -76,7 +69,14 @@ def opening(path: Path, file: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
+        advice = "is an address: download the file, and give that" if _ADDRESS.match(file) else None
+        raise InputError(f"{file}: {advice or f'cannot be read: {error.strerror or error}'}") from None
+
+
+def read_small(path: Path) -> bytes:
+    """A small file, its first SMALL_BYTES at most; InputError where it cannot be read."""
+    with opening(path, str(path)), path.open("rb") as opened:
+        return opened.read(SMALL_BYTES)
 
 
 def read_regular(path: Path, file: str) -> bytes:

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import ExifTags, Image, ImageChops, ImageCms, ImageFile, UnidentifiedImageError
 
-from engine.errors import FormatError, InputError
+from engine.errors import FormatError
 from engine.formats.color_coding import coding_of
+from engine.formats.guards import opening
 from engine.formats.kinds.splat import looks_like_splat
 from engine.formats.other_files import RAW_ENDINGS, RAW_PHOTO
 from engine.model import Float32
@@ -35,15 +36,13 @@ def is_picture(path: Path, name: str = "") -> bool:
     own) says: except for a .splat that is one by its rows, since its first number may be any bytes."""
     if path.is_dir():
         return False
-    try:
+    with opening(path, name or str(path)):
         with path.open("rb") as file:
             head = file.read(64)
         webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
         avif = head[4:8] == b"ftyp" and re.search(rb"avi[fs]", head[8 : int.from_bytes(head[:4])]) is not None
         named = (name or path.name).lower().endswith(".splat")
         return (webp or avif or head.startswith(_MAGICS)) and not (named and looks_like_splat(path.read_bytes()))
-    except OSError as error:
-        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
 def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) -> Float32:

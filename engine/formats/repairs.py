@@ -50,6 +50,11 @@ class Repair:
     text: str
 
 
+def to_bytes(values: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Rounded to 0..255."""
+    return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))
+
+
 def degree_dropped(degree: int, count: int) -> Repair:
     """The note on harmonics beyond the third degree, which a model cannot hold."""
     return Repair("degree_dropped", count, f"harmonics of degree {degree} were read to degree 3: the rest was dropped")

@@ -15,7 +15,7 @@ from engine.formats.sog.levels import LOD_META
 _FREE_BYTES, _RATIO = 1 << 28, 16
 """What may be unpacked of any file, or of each of its bytes: floats shrink to half, their text to a fourth."""
 
-_MODELS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".obj")
+_MODELS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".obj", ".usdz")
 _NAMES_OTHERS = (".gltf", ".obj")
 _OWN = (META, LOD_META, ".usd", ".usda", ".usdc")
 """Ends of names in archives that are a format themselves."""

@@ -115,17 +115,17 @@ def test_version_1_is_read_as_defined(degree):
         np.testing.assert_allclose(getattr(model, name), values, rtol=2e-6, atol=2e-6, err_msg=name)
 
 
-def test_folder_and_meta_path_read_as_the_bundle(tmp_path):
+def test_a_folder_reads_as_the_bundle(tmp_path):
     for name, part in unbundle(SCENE).items():
         (tmp_path / name).write_bytes(part)
     bundled, _ = read_sog(SCENE, file="x")
-    for path in (tmp_path, str(tmp_path), tmp_path / "meta.json"):
+    for path in (tmp_path, str(tmp_path)):
         model, _ = read_sog_folder(path)
         np.testing.assert_array_equal(model.sh, bundled.sh)
     (tmp_path / "sh0.webp").unlink()
     with pytest.raises(FormatError, match=r"sh0\.webp"):
         read_sog_folder(tmp_path)
-    for other in (tmp_path / "quats.webp", tmp_path / "nowhere", tmp_path / "nowhere" / "meta.json"):
+    for other in (tmp_path / "quats.webp", tmp_path / "nowhere"):
         with pytest.raises(FormatError):
             read_sog_folder(other)
 

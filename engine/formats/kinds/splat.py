@@ -1,11 +1,10 @@
 """The .splat format: 32 bytes a Gaussian, no header, no spherical harmonics (antimatter15/splat)."""
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.declaration import Kind, Range
-from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
+from engine.formats.repairs import ALPHA_LOGITS, Repair, clean, to_bytes
 from engine.model import SH_C0, GaussianModel
 
 RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
@@ -55,14 +54,10 @@ def write_splat(model: GaussianModel) -> bytes:
     """The file, 32 bytes a Gaussian in their order; harmonics beyond degree 0 are lost, colors are clipped to 0..1."""
     records = np.empty(len(model), dtype=RECORD)
     records["means"], records["scales"] = model.means, model.scales
-    records["rgba"][:, :3] = _to_bytes((0.5 + SH_C0 * model.sh[:, 0]) * 255)
-    records["rgba"][:, 3] = _to_bytes(model.opacities * 255)
-    records["quats"] = _to_bytes(model.quats * 128 + 128)
+    records["rgba"][:, :3] = to_bytes((0.5 + SH_C0 * model.sh[:, 0]) * 255)
+    records["rgba"][:, 3] = to_bytes(model.opacities * 255)
+    records["quats"] = to_bytes(model.quats * 128 + 128)
     return records.tobytes()
-
-
-def _to_bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
 SPLAT = Kind(

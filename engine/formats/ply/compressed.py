@@ -16,6 +16,7 @@ from engine.formats.ply.body import read_tables
 from engine.formats.ply.extras import carried_by, carrying, ignored, lines_of
 from engine.formats.ply.header import ANY_BYTES, Element, Header, parse_header
 from engine.formats.repairs import Repair, clean, degree_dropped
+from engine.formats.smallest_three import put_together, take_apart
 from engine.model import SH_C0, Float32, GaussianModel
 
 CHUNK = 256
@@ -29,7 +30,8 @@ _BOUNDS = [
 ]
 _WORDS = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 _SCALE_LIMIT = 20.0  # the format clamps log scales there
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # components but the largest, in order
+_REST_VALUES = np.array([-4, *(np.arange(1, 255) / 32 - 3.984375), 4], np.float32)
+"""Coefficient of every byte: the middle of its step, the two ends for 0 and 255."""
 _CHUNKS_AT_ONCE = 64
 _MAX_REST = 15  # coefficients beyond the first that a model holds
 
@@ -218,28 +220,11 @@ def _chunk_bounds(values: npt.NDArray[Any], chunks: int) -> tuple[Float32, Float
 def _unpack_rotations(words: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """(N, 4) quaternions; a component other than the largest lies within +-sqrt(1/2)."""
     small = (_unpack(words & 0x3FFFFFFF, (2, 10, 10, 10))[:, 1:] - 0.5) * np.sqrt(2)
-    largest = (words >> 30).astype(np.intp)
-    quats = np.empty((len(words), 4))
-    np.put_along_axis(quats, _OTHERS[largest], small, axis=1)
-    rest = np.sqrt(np.maximum(0, 1 - np.einsum("nc,nc->n", small, small)))  # (N,)
-    np.put_along_axis(quats, largest[:, None], rest[:, None], axis=1)
-    return quats
+    return put_together(small, words >> 30)
 
 
 def _pack_rotations(quats: Float32) -> npt.NDArray[np.uint32]:
-    largest = np.argmax(np.abs(quats), axis=1)
-    top = np.take_along_axis(quats, largest[:, None], axis=1)
-    small = np.take_along_axis(quats, _OTHERS[largest], axis=1) * np.where(top < 0, -1, 1)
+    small, largest = take_apart(quats)
     packed = _pack(small * np.sqrt(0.5) + 0.5, (10, 10, 10))
     index: npt.NDArray[np.uint32] = largest.astype(np.uint32) << np.uint32(30)
     return packed | index
-
-
-def _rest_values() -> Float32:
-    """Coefficient of every byte: the middle of its step, the two ends for 0 and 255."""
-    fractions = (np.arange(256) + 0.5) / 256
-    fractions[[0, 255]] = 0, 1
-    return ((fractions - 0.5) * 8).astype(np.float32)
-
-
-_REST_VALUES = _rest_values()

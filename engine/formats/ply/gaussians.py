@@ -51,7 +51,8 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     records, typed = plain_types(records, [name for name in used if not (colored and name in DC)], file=file)
     repairs += typed
     rest = _count_rest(vertex, file)
-    arrays = _empty_arrays(len(records), REST_COUNTS[rest])
+    shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (REST_COUNTS[rest], 3)}
+    arrays = {name: np.empty((len(records), *shape), np.float32) for name, shape in shapes.items()}
     _spread(records, arrays, frozenset(used), rest // 3)
     if colored:
         arrays["sh"][:, 0] = dc_of_colors(arrays["sh"][:, 0], records.dtype[DC[0]])
@@ -217,17 +218,6 @@ def _count_rest(vertex: Element, file: str) -> int:
         if f"f_rest_{i}" not in names:
             raise FormatError("is missing", file=file, element="vertex", prop=f"f_rest_{i}")
     return len(names)
-
-
-def _empty_arrays(count: int, coefficients: int) -> dict[str, Float32]:
-    shapes = {
-        "means": (count, 3),
-        "log_scales": (count, 3),
-        "quats": (count, 4),
-        "opacity_logits": (count,),
-        "sh": (count, coefficients, 3),
-    }
-    return {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
 
 
 def _properties(coefficients: int, channel: int | None = None) -> dict[str, list[str]]:

@@ -40,12 +40,8 @@ def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
 
 
 def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """As `read_sog`, an unbundled scene: a folder with meta.json, or the path of that meta.json."""
-    path = Path(path)
-    folder = path if path.is_dir() else path.parent
-    if not path.is_dir() and path.name != META:
-        raise FormatError(f"is neither a folder nor a {META}", file=str(path))
-    archive = Folder(folder)
+    """As `read_sog`, an unbundled scene: a folder with meta.json."""
+    archive = Folder(Path(path))
     meta = parse_meta(archive.read(META, MAX_META_BYTES), file=str(path))
     archive.weigh(meta.names)
     return decode_scene(meta, archive, file=str(path))

@@ -39,7 +39,9 @@ def learn_codebook(values: npt.NDArray[Any], weights: npt.NDArray[Any] | None = 
     mass, moment = _prefix(w), _prefix(w * y)
     starts = _cell_starts(x, changes)
     bounds = np.concatenate([starts, [len(x)]])
-    cuts = _best_cuts(mass[bounds], moment[bounds], _prefix(w * y * y)[bounds], levels)
+    cuts, room = np.empty(levels + 1, np.int64), len(bounds)
+    scratch = np.empty((2, room)), np.zeros((levels, room), np.int32), np.empty((64, 4), np.int64)
+    _find_cuts(mass[bounds], moment[bounds], _prefix(w * y * y)[bounds], scratch, cuts)
     split = bounds[cuts]
     centers = np.zeros(levels)
     for _ in range(_ROUNDS):
@@ -87,17 +89,9 @@ def _cost(mass, moment, square, first, last):
     return max(square[last] - square[first] - s * s / m, 0.0)
 
 
-def _best_cuts(mass: Float64, moment: Float64, square: Float64, levels: int) -> npt.NDArray[np.int64]:
-    """(levels + 1,) borders among the cells that minimise the total cost, from prefix sums (cells + 1,)."""
-    cuts = np.empty(levels + 1, np.int64)
-    scratch = np.empty((2, len(mass))), np.zeros((levels, len(mass)), np.int32), np.empty((64, 4), np.int64)
-    _find_cuts(mass, moment, square, scratch, cuts)
-    return cuts
-
-
 @kernel
 def _find_cuts(mass, moment, square, scratch, cuts):
-    """`_best_cuts`, to `cuts`."""
+    """The borders `cuts` (levels + 1,) among the cells that minimise the total cost, from prefix sums (cells + 1,)."""
     n, levels = len(mass) - 1, len(cuts) - 1
     before, best, came_from, stack = scratch[0][0], scratch[0][1], scratch[1], scratch[2]
     for j in range(n + 1):

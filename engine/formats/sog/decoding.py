@@ -7,6 +7,7 @@ from engine.errors import FormatError
 from engine.formats.guards import check_count
 from engine.formats.modes import with_mode
 from engine.formats.repairs import Repair, clean
+from engine.formats.smallest_three import put_together
 from engine.formats.sog.archive import Archive
 from engine.formats.sog.images import REENCODED, Pixels, decode_lossless, lossless_size
 from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW, REST_COEFFICIENTS, Palette, SogMeta
@@ -14,9 +15,6 @@ from engine.model import Float32, GaussianModel
 
 QUATERNION_TAG = 252
 """Alpha of a quaternion's pixel: this plus the index of the component that is left out, the largest."""
-
-OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""The components that are kept, by the index of the largest; w, x, y, z as in the model."""
 
 _IMPOSSIBLE, _MOST_IMPOSSIBLE = 0.02, 0.01
 """By how much a component may be larger than the one left out, which is the largest, and in which share of the rows:
@@ -126,10 +124,7 @@ class _Scene:
         largest = np.where(tagged, pixels[:, 3] - np.uint8(QUATERNION_TAG), 0)
         table = ((np.arange(256) / 127.5 - 1.0) * np.sqrt(0.5)).astype(np.float32)
         small = table[pixels[:, :3]]  # (N, 3)
-        rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)  # (N,)
-        quats = np.empty((len(pixels), 4), dtype=np.float32)
-        np.put_along_axis(quats, OTHERS[largest], small, axis=1)
-        quats[np.arange(len(pixels)), largest] = np.sqrt(np.maximum(rest, np.float32(0.0)))
+        quats = put_together(small, largest)
         untagged = np.flatnonzero(~tagged)
         if not len(untagged):
             return quats, ()

@@ -9,9 +9,10 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.morton import morton_order
+from engine.formats.smallest_three import take_apart
 from engine.formats.sog.archive import META
 from engine.formats.sog.codebook import learn_codebook, nearest_codes
-from engine.formats.sog.decoding import OTHERS, QUATERNION_TAG
+from engine.formats.sog.decoding import QUATERNION_TAG
 from engine.formats.sog.images import MAX_SIDE, Pixels, encode_webp
 from engine.formats.sog.meta import PALETTE_ROW
 from engine.formats.sog.palette import learn_palette, palette_size
@@ -94,9 +95,7 @@ def quaternion_pixels(quats: Float32) -> Pixels:
     """(N, 4) the three smallest components in steps of sqrt(2) / 255, and the tag of the largest."""
     q = quats.astype(np.float64)
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    largest = np.argmax(np.abs(q), axis=1)
-    q *= np.where(np.take_along_axis(q, largest[:, None], axis=1) < 0, -1.0, 1.0)
-    small = np.take_along_axis(q, OTHERS[largest], axis=1)  # (N, 3)
+    small, largest = take_apart(q)
     pixels = np.empty((len(q), 4), dtype=np.uint8)
     pixels[:, :3] = np.rint(255.0 * np.clip(small * np.sqrt(0.5) + 0.5, 0.0, 1.0))
     pixels[:, 3] = QUATERNION_TAG + largest
@@ -115,9 +114,7 @@ def centroid_pixels(book: Float32, labels: npt.NDArray[Any]) -> tuple[Pixels, Fl
 
 def label_pixels(labels: npt.NDArray[Any]) -> Pixels:
     """(N, 3) low byte, high byte, zero."""
-    pixels = np.zeros((len(labels), 3), dtype=np.uint8)
-    pixels[:, 0], pixels[:, 1] = labels & 0xFF, labels >> 8
-    return pixels
+    return np.column_stack([labels & 0xFF, labels >> 8, np.zeros_like(labels)]).astype(np.uint8)
 
 
 def _lay_out(pixels: Pixels, width: int, height: int) -> Pixels:

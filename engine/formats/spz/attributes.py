@@ -6,20 +6,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.formats.repairs import ALPHA_LOGITS
-from engine.model import Float32
+from engine.formats.repairs import to_bytes
+from engine.formats.smallest_three import put_together, take_apart
+from engine.model import Float32, Float64
 
 COLOR_SCALE = 0.15
 """A DC coefficient c is stored as 255 (COLOR_SCALE c + 0.5): wider than a colour, [-3.33, 3.33] fits."""
+
+COLORS, LOG_SCALES = (np.arange(256) / 255.0 - 0.5) / COLOR_SCALE, np.arange(256) / 16.0 - 10.0
+"""(256,) DC coefficient and log scale of every byte."""
 
 _SQRT_HALF = np.sqrt(0.5)
 _MAGNITUDE = 511
 """Largest 9-bit magnitude of a quaternion component; it stands for sqrt(1/2)."""
 
-_COLUMN = np.array([1, 2, 3, 0])
-"""SPZ counts components x, y, z, w; the model's columns are w, x, y, z."""
-
-_OTHERS = np.array([[_COLUMN[i] for i in range(4) if i != largest] for largest in range(4)])  # (4, 3)
 _CHUNK = 1 << 15
 
 
@@ -53,21 +53,9 @@ def choose_fractional_bits(means: Float32) -> int:
     return int(np.clip(max(12, 17 - exponent), 0, min(max(fits, 0), 24)))
 
 
-def decode_alphas(section: memoryview) -> Float32:
-    """(N,) logits; alpha 0 and 255 give -inf and +inf, which loading repairs."""
-    return ALPHA_LOGITS.astype(np.float32)[np.frombuffer(section, dtype=np.uint8)]
-
-
-def decode_colors(section: memoryview) -> Float32:
-    """(N, 3) DC coefficients."""
-    table = ((np.arange(256) / 255.0 - 0.5) / COLOR_SCALE).astype(np.float32)
-    return table[np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)]
-
-
-def decode_scales(section: memoryview) -> Float32:
-    """(N, 3) log scales in [-10, 5.94], steps of 1/16."""
-    table = (np.arange(256) / 16.0 - 10.0).astype(np.float32)
-    return table[np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)]
+def look_up(table: Float64, section: memoryview) -> Float32:
+    """(N,) values of a section of bytes, each by one of the tables above."""
+    return table.astype(np.float32)[np.frombuffer(section, dtype=np.uint8)]
 
 
 def decode_first_three(section: memoryview) -> Float32:
@@ -85,22 +73,14 @@ def decode_smallest_three(section: memoryview) -> Float32:
     field = np.arange(1024)
     table = ((field & 511) * (_SQRT_HALF / _MAGNITUDE) * np.where(field & 512, -1, 1)).astype(np.float32)
     small = np.stack([table[(packed >> shift) & 1023] for shift in (20, 10, 0)], axis=1)  # (N, 3)
-    largest = packed >> 30
-    rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)  # (N,)
-    quats = np.empty((len(packed), 4), dtype=np.float32)
-    np.put_along_axis(quats, _OTHERS[largest], small, axis=1)
-    quats[np.arange(len(packed)), _COLUMN[largest]] = np.sqrt(np.maximum(rest, np.float32(0.0)))
-    return quats
+    return np.ascontiguousarray(put_together(small, packed >> 30)[:, [3, 0, 1, 2]])  # SPZ has x, y, z, w
 
 
 def encode_smallest_three(quats: Float32) -> bytes:
     """Inverse of `decode_smallest_three`; quaternions (N, 4) of any length but zero."""
     xyzw = quats[:, [1, 2, 3, 0]].astype(np.float64)
     xyzw /= np.linalg.norm(xyzw, axis=1, keepdims=True)
-    largest = np.argmax(np.abs(xyzw), axis=1)
-    xyzw *= np.where(np.take_along_axis(xyzw, largest[:, None], axis=1) < 0, -1.0, 1.0)
-    others = np.array([[i for i in range(4) if i != k] for k in range(4)])[largest]
-    small = np.take_along_axis(xyzw, others, axis=1)  # (N, 3)
+    small, largest = take_apart(xyzw)
     magnitude = np.minimum(np.rint(np.abs(small) * (_MAGNITUDE / _SQRT_HALF)), _MAGNITUDE)
     field = magnitude.astype(np.uint32) | ((small < 0).astype(np.uint32) << np.uint32(9))
     packed = largest.astype(np.uint32) << np.uint32(30)
@@ -126,7 +106,7 @@ def encode_sh(sh: Float32, signs: Float32) -> bytes:
     result = np.empty((len(sh), sh.shape[1] - 1, 3), dtype=np.uint8)
     for start in range(0, len(sh), _CHUNK):
         part = sh[start : start + _CHUNK, 1:] * (signs[1:, None] * np.float32(128.0)) + np.float32(128.0)
-        result[start : start + _CHUNK] = _to_bytes(part)
+        result[start : start + _CHUNK] = to_bytes(part)
     return result.tobytes()
 
 
@@ -136,13 +116,9 @@ def encode_all(arrays: Sequence[npt.NDArray[Any]], fractional_bits: int, signs: 
     means, log_scales, quats, opacities, sh = arrays
     return (
         encode_positions(means, fractional_bits),
-        _to_bytes(opacities * np.float32(255.0)).tobytes(),
-        _to_bytes(sh[:, 0] * signs[0] * np.float32(COLOR_SCALE * 255.0) + np.float32(127.5)).tobytes(),
-        _to_bytes((log_scales + np.float32(10.0)) * np.float32(16.0)).tobytes(),
+        to_bytes(opacities * np.float32(255.0)).tobytes(),
+        to_bytes(sh[:, 0] * signs[0] * np.float32(COLOR_SCALE * 255.0) + np.float32(127.5)).tobytes(),
+        to_bytes((log_scales + np.float32(10.0)) * np.float32(16.0)).tobytes(),
         encode_smallest_three(quats),
         encode_sh(sh, signs),
     )
-
-
-def _to_bytes(values: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))

@@ -8,7 +8,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.formats import modes
 from engine.formats.ply.extras import named
-from engine.formats.repairs import Repair, clean, degree_dropped
+from engine.formats.repairs import ALPHA_LOGITS, Repair, clean, degree_dropped
 from engine.formats.spz import attributes
 from engine.formats.spz.container import ANTIALIASED, Header, pack, unpack
 from engine.formats.spz.frames import SPECIFICATION, frame_change, other_extensions
@@ -39,10 +39,11 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
         attributes.decode_first_three(rotations) if header.version < 3 else attributes.decode_smallest_three(rotations)
     )
     sh = np.empty((header.count, (min(header.sh_degree, 3) + 1) ** 2, 3), dtype=np.float32)
-    sh[:, 0] = attributes.decode_colors(colors)
+    sh[:, 0] = attributes.look_up(attributes.COLORS, colors).reshape(-1, 3)
     attributes.decode_sh(rest, sh)
     change.apply_signs(means, quats, sh)
-    log_scales, logits = attributes.decode_scales(scales), attributes.decode_alphas(alphas)
+    log_scales = attributes.look_up(attributes.LOG_SCALES, scales).reshape(-1, 3)
+    logits = attributes.look_up(ALPHA_LOGITS, alphas)
     model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="points")
     if header.sh_degree > 3:
         repairs = (degree_dropped(header.sh_degree, header.count), *repairs)

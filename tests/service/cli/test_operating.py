@@ -188,7 +188,7 @@ def test_serve_refuses_a_signer_who_can_sign_nothing(mark3dgs: Mark3dgs, tmp_pat
     code, _, err = mark3dgs("serve", "--port", "0", CREDENTIALS_CERTIFICATES=chain)
     assert (code, "go together" in err) == (2, True)
     code, _, err = mark3dgs("serve", "--port", "0", CREDENTIALS_CERTIFICATES=chain, CREDENTIALS_KEY=chain)
-    assert (code, "cannot read" in err, "chain.pem" in err) == (2, True, True)
+    assert (code, "cannot be read" in err, "chain.pem" in err) == (2, True, True)
 
 
 @pytest.mark.parametrize("command", [["serve", "--workers", "0", "--port", "0"], ["worker"], ["apikey", "list"]])
