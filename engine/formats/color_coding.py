@@ -36,9 +36,8 @@ _SRGB_GAMMA, _SAME_GAMMA = 0.45455, 0.01
 def _pq(signal: Float64) -> Float64:
     """BT.2100, table 4."""
     root = np.maximum(signal, 0.0) ** (32 / 2523)
-    return np.asarray(
-        10000 / _WHITE * (np.maximum(root - 0.8359375, 0.0) / (18.8515625 - 18.6875 * root)) ** (8192 / 1305)
-    )
+    share = np.maximum(root - 0.8359375, 0.0) / (18.8515625 - 18.6875 * root)
+    return np.asarray(10000 / _WHITE * share ** (8192 / 1305))
 
 
 def _hlg(signal: Float64) -> Float64:

@@ -19,7 +19,6 @@ GAUSSIANS_PER_BYTE = 4
 """Beyond that, at most four Gaussians a byte. Real scenes need 6 to 40 bytes for one; a quarter of a byte is
 reached only by rows that all say the same (a 591 KB SPZ can hold 9.5 million of them, 608 MB)."""
 
-
 SMALL_BYTES = 1 << 20
 """More than a key, a certificate or a stamp has."""
 

@@ -71,10 +71,8 @@ def read_picture(source: Path | bytes, name: str = "", *, managed: bool = True) 
     except Exception as error:  # decoders raise whatever they stumble over
         if isinstance(error, UnidentifiedImageError):
             is_raw = file.lower().endswith(RAW_ENDINGS)
-            text = (
-                RAW_PHOTO if is_raw else "no readable picture (damaged, or of a kind that is not read): save it as PNG"
-            )
-            raise FormatError(text, file=file) from error
+            unknown = "no readable picture (damaged, or of a kind that is not read): save it as PNG"
+            raise FormatError(RAW_PHOTO if is_raw else unknown, file=file) from error
         raise FormatError(f"no readable picture ({error})", file=file) from error
     values = np.ascontiguousarray(_upright(values, turn))
     return values if coding is None else coding.to_srgb(values)

@@ -7,14 +7,9 @@ from engine.errors import UnsupportedFormatError
 from engine.formats import kinds
 from engine.formats.declaration import Kind
 
-
-def _declared() -> tuple[Kind, ...]:
-    modules = sorted(module.name for module in pkgutil.iter_modules(kinds.__path__))
-    found: list[Kind] = [kind for name in modules for kind in import_module(f"{kinds.__name__}.{name}").KINDS]
-    return tuple(sorted(found, key=lambda kind: kind.guessed))
-
-
-KINDS = _declared()
+_MODULES = sorted(module.name for module in pkgutil.iter_modules(kinds.__path__))
+_DECLARED: list[Kind] = [kind for name in _MODULES for kind in import_module(f"{kinds.__name__}.{name}").KINDS]
+KINDS = tuple(sorted(_DECLARED, key=lambda kind: kind.guessed))
 KIND_BY_NAME = {kind.name: kind for kind in KINDS}
 FORMATS = tuple(kind.name for kind in KINDS if kind.write and not kind.load)
 """What is always read and written; also the file name's ending of each."""

@@ -98,9 +98,8 @@ def _read(data: bytes, file: str, place: Place) -> tuple[Kind, Read]:
             raise
         return SPLAT, SPLAT.read(data, file, place)
     if splat and kind is not SPLAT:
-        raise FormatError(
-            f"holds two models at once, a .{kind.name} and a .splat: keep the one that is meant", file=file
-        )
+        message = f"holds two models at once, a .{kind.name} and a .splat: keep the one that is meant"
+        raise FormatError(message, file=file)
     return kind, read
 
 

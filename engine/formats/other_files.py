@@ -8,9 +8,7 @@ from dataclasses import dataclass
 RAW_PHOTO = "is a camera's raw file: save the developed picture as PNG or JPEG"
 RAW_ENDINGS = (".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw", ".dng")
 
-ZIP_WITHOUT_SCENE = (
-    "is a zip archive without a model in it (.ply, .sog, .spz and so on; a SOG scene's has a meta.json): give the model"
-)
+ZIP_WITHOUT_SCENE = "is a zip archive without a model in it (.ply, .sog, .spz and so on, or a meta.json): give a model"
 
 _HEAD, _TAIL = 4096, 1 << 16
 _FEW_ENDS = 32
@@ -128,8 +126,7 @@ _KINDS = (
     _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
     _Other(
         "is a picture of a kind that is not read (JPEG 2000, JPEG XL, JPEG XR, PSD, SVG, EXR, HDR, TGA, KTX and the"
-        " like):"
-        " save it as PNG or JPEG, as it is displayed",
+        " like): save it as PNG or JPEG, as it is displayed",
         (*_PICTURES, b"\xff\x4f\xff\x51", b"\xff\x0a", b"8BPS", b"<svg", b"v/1\1", b"#?RADIANCE", b"II\xbc\1", b"DDS "),
         lambda data: re.match(rb"P[1-7]\s+[\d#]|qoif", data) is not None,
         (".jp2", ".jxl", ".jxr", ".psd", ".svg", ".exr", ".hdr", ".tga", ".ico"),

@@ -82,9 +82,9 @@ def clean(
     The caller's arrays are never written to; those that need no repair are passed on without a copy. FormatError if
     there is no Gaussian, or none that is usable.
     """
-    means, log_scales, quats, opacity_logits, sh = (
-        _float32(array) for array in (means, log_scales, quats, opacity_logits, sh)
-    )
+    arrays = (means, log_scales, quats, opacity_logits, sh)
+    with np.errstate(over="ignore", invalid="ignore"):  # a double beyond float32 becomes infinite
+        means, log_scales, quats, opacity_logits, sh = (np.ascontiguousarray(a, dtype=np.float32) for a in arrays)
     if len(means) == 0:
         raise FormatError("holds no Gaussians", file=file, element=element)
 
@@ -101,18 +101,16 @@ def clean(
     if bad.any():
         first = int(np.argmax(bad))
         attribute = next(name for name, fault in faults.items() if fault[first])
-        arrays = {"means": means, "log_scales": log_scales, "quats": quats, "sh": sh}
-        prop, value = _name_fault(attribute, arrays.get(attribute, opacity_logits[:, None])[first])
+        rows_of = {"means": means, "log_scales": log_scales, "quats": quats, "sh": sh}
+        prop, value = _name_fault(attribute, rows_of.get(attribute, opacity_logits[:, None])[first])
         if bad.all():
             message = f"no Gaussian is usable; the value here is {value}"
             raise FormatError(message, file=file, element=element, row=int(origin[first]), prop=prop)
-        log.note(
-            "rows_dropped", np.flatnonzero(bad), f"left out, because a value is no number of a scene ({prop} = {value})"
-        )
+        why = f"left out, because a value is no number of a scene ({prop} = {value})"
+        log.note("rows_dropped", np.flatnonzero(bad), why)
         log.rows = rows = FileRows(origin[~bad], len(bad) if rows is None else rows.count)
-        means, log_scales, quats, opacity_logits, sh = (
-            array[~bad] for array in (means, log_scales, quats, opacity_logits, sh)
-        )
+        arrays = (means, log_scales, quats, opacity_logits, sh)
+        means, log_scales, quats, opacity_logits, sh = (array[~bad] for array in arrays)
     log_scales = _clamp_scales(log_scales, log)
     opacity_logits = _clamp_opacities(opacity_logits, log)
     quats = _normalize(quats, log)
@@ -132,11 +130,6 @@ class _Log:
         first = rows[0] if self.rows is None else self.rows.rows[rows[0]]
         noun = "Gaussian" if len(rows) == 1 else "Gaussians"
         self.repairs.append(Repair(code, len(rows), f"{len(rows)} {noun} (first in row {first}): {what}"))
-
-
-def _float32(array: npt.NDArray[Any]) -> Float32:
-    with np.errstate(over="ignore", invalid="ignore"):  # a double beyond float32 becomes infinite
-        return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def _out_of_bounds(array: Float32, limit: float) -> Bool:

@@ -73,10 +73,8 @@ def read_nerf(content: Json, file: str, folder: Path, moved: Json | None = None)
         entry = {**content, **frame}  # a frame's own intrinsics come first
         model = _FISHEYE if entry.get("is_fisheye") is True else entry.get("camera_model", "OPENCV")  # instant-ngp's
         if model not in (*_PINHOLES, _FISHEYE):
-            message = (
-                f"camera_model {str(model)[:40]!r} is no pinhole and no {_FISHEYE}: leave --cameras out, and cameras"
-            )
-            raise CameraError(f"{where}: {message} of pictures are found")
+            message = f"camera_model {str(model)[:40]!r} is no pinhole and no {_FISHEYE}: leave --cameras out, and"
+            raise CameraError(f"{where}: {message} cameras of pictures are found")
         if "w" not in entry or "h" not in entry:
             entry["w"], entry["h"] = _image_size(entry.get("file_path"), folder, where)
         width, height = _size(entry, "w", where), _size(entry, "h", where)

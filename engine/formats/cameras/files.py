@@ -79,10 +79,8 @@ def _read_folder(folder: Path) -> list[Camera]:
     for name in _JSON_NAMES:
         if (folder / name).is_file():
             return _read_json(folder / name)
-    nor = ", ".join(_JSON_NAMES)
-    raise CameraError(
-        f"{folder}: holds no cameras: neither a COLMAP model (cameras and images, .txt or .bin) nor {nor}"
-    )
+    neither = "neither a COLMAP model (cameras and images, .txt or .bin)"
+    raise CameraError(f"{folder}: holds no cameras: {neither} nor {', '.join(_JSON_NAMES)}")
 
 
 def _colmap_files(folder: Path, suffix: str) -> tuple[Path, Path]:

@@ -45,9 +45,8 @@ class Metadata:
         for name in ("rights", "provenance"):
             text = getattr(self, name)
             if len(text) > MOST_CHARACTERS or not text.isprintable():
-                raise InputError(
-                    f"{name} must be at most {MOST_CHARACTERS} printable characters, got {ascii(text)[:80]}"
-                )
+                wanted = f"at most {MOST_CHARACTERS} printable characters"
+                raise InputError(f"{name} must be {wanted}, got {ascii(text)[:80]}")
 
     def __bool__(self) -> bool:
         return bool(self.rights or self.provenance)
@@ -103,12 +102,11 @@ def _extension(holder: Any) -> Mapping[str, Any]:
 
 def _text(value: Any) -> str:
     """A text, the first of its languages where it has several, or the first of a list."""
-    if isinstance(value, dict):
-        value = value.get("rdf:_1", value.get("@list", value.get("@set", value.get("@value"))))
-    if isinstance(value, list):
-        value = value[0] if value else None
-    if isinstance(value, dict):
-        value = value.get("@value")
+    for _ in range(3):  # a list in an object, of objects
+        if isinstance(value, dict):
+            value = value.get("rdf:_1", value.get("@list", value.get("@set", value.get("@value"))))
+        elif isinstance(value, list):
+            value = value[0] if value else None
     if not isinstance(value, str):
         return ""
     return "".join(letter if letter.isprintable() else "?" for letter in value[:MOST_CHARACTERS])

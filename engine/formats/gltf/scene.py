@@ -25,7 +25,7 @@ from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
 from engine.formats.spz.stream import read_spz
-from engine.model import Float32, Float64, GaussianModel, joined
+from engine.model import Float32, GaussianModel, joined
 from engine.numerics.plain import Json
 from engine.numerics.similarity import transform_model
 
@@ -80,7 +80,8 @@ def read_gltf(data: bytes, *, file: str, place: Place | None = None) -> tuple[Ga
     """
     place = place or Place()
     asset = replace(unpack(data, file=file, folder=place.folder), opened=place.opened)
-    _check_required(asset)
+    if unknown := [name for name in map(str, asset.rows("extensionsRequired")) if name not in _KNOWN]:
+        raise _unsupported(asset, unknown[0])
     shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
     if not shown:
         message = f"holds no Gaussians, only a mesh or points: no primitive that is shown has {EXTENSION}; verify also"
@@ -94,14 +95,14 @@ def read_gltf(data: bytes, *, file: str, place: Place | None = None) -> tuple[Ga
     repairs = _left_out(asset, [primitive for primitive, _ in shown])
     origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
     for primitive, matrix in shown:
-        model, mended = (
-            _read_primitive(asset, primitive) if _spz_view(primitive) is None else _read_spz(asset, primitive)
-        )
+        read = _read_primitive if _spz_view(primitive) is None else _read_spz
+        model, mended = read(asset, primitive)
         repairs += mended
         if (matrix != np.eye(4)).any():
             flip = np.diag([*TO_PLY.signs, 1.0])
             scale, rotation, shift = as_similarity(flip @ matrix @ flip, file=file)
-            if not parts and _is_far(shift, scale * model.scales):
+            step = float(np.spacing(np.float32(np.abs(shift).max()))) / 2  # that of float32
+            if not parts and step > VISIBLE_ROUNDING * float(np.median(scale * model.scales)):
                 origin = np.rint(shift)
             model = transform_model(model, scale, rotation, shift - origin)
         elif origin.any():
@@ -132,12 +133,6 @@ def _left_out(asset: Asset, shown: list[Mapping[str, Any]]) -> list[Repair]:
     if not found:
         return []
     return [Repair("extra_gltf", len(found), f"what is no Gaussian of the scene was ignored: {named(found)}")]
-
-
-def _is_far(shift: Float64, scales: Float32) -> bool:
-    """Whether float32 rounds centers there by more than `VISIBLE_ROUNDING` of a usual size."""
-    step = float(np.spacing(np.float32(np.abs(shift).max()))) / 2
-    return step > VISIBLE_ROUNDING * float(np.median(scales))
 
 
 def write_glb(model: GaussianModel) -> list[bytes]:
@@ -181,13 +176,6 @@ def write_glb(model: GaussianModel) -> list[bytes]:
 def coefficient_names(degree: int) -> list[str]:
     """Semantics of the coefficients up to a degree, in INRIA's order."""
     return [f"SH_DEGREE_{band}_COEF_{order}" for band in range(degree + 1) for order in range(2 * band + 1)]
-
-
-def _check_required(asset: Asset) -> None:
-    required = asset.rows("extensionsRequired")
-    unknown = [name for name in map(str, required) if name not in _KNOWN]
-    if unknown:
-        raise _unsupported(asset, unknown[0])
 
 
 def _unsupported(asset: Asset, name: str) -> UnsupportedFormatError:

@@ -78,9 +78,8 @@ def _read_ascii(
         if least > len(body):
             message = f"the header announces {element.count} rows, but only {len(body)} bytes are there"
             raise FormatError(message, file=file, element=element.name)
-    lines = (
-        _WINDOWS.sub("nan", line) for line in io.TextIOWrapper(io.BytesIO(body), encoding="latin-1") if line.strip()
-    )
+    text = io.TextIOWrapper(io.BytesIO(body), encoding="latin-1")
+    lines = (_WINDOWS.sub("nan", line) for line in text if line.strip())
     tables = {}
     for element in header.elements:
         if element.name in wanted:

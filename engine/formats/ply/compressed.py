@@ -17,7 +17,7 @@ from engine.formats.ply.extras import carried_by, carrying, ignored, lines_of
 from engine.formats.ply.header import ANY_BYTES, Element, Header, parse_header
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.smallest_three import put_together, take_apart
-from engine.model import SH_C0, Float32, GaussianModel
+from engine.model import SH_C0, Float32, Float64, GaussianModel
 
 CHUNK = 256
 """Gaussians that share bounds."""
@@ -124,7 +124,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     return b"".join([header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), rest.tobytes()])
 
 
-def rounded_positions(means: Float32) -> npt.NDArray[np.float64]:
+def rounded_positions(means: Float32) -> Float64:
     """(N, 3) centers as the file holds them, in the order given."""
     order = morton_order(means)
     values = means[order].astype(np.float64)
@@ -177,7 +177,7 @@ def _check_elements(header: Header, file: str) -> tuple[Element, Element, Elemen
     return chunk, vertex, sh
 
 
-def _unpack(words: npt.NDArray[Any], bits: tuple[int, ...]) -> npt.NDArray[np.float64]:
+def _unpack(words: npt.NDArray[Any], bits: tuple[int, ...]) -> Float64:
     """(N, len(bits)) fractions in 0..1; the first stands in the highest bits."""
     columns, shift = [], 32
     for width in bits:
@@ -197,14 +197,13 @@ def _pack(fractions: npt.NDArray[Any], bits: tuple[int, ...]) -> npt.NDArray[np.
     return word
 
 
-def _between(box: npt.NDArray[np.float64], fractions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _between(box: Float64, fractions: Float64) -> Float64:
     """Values between the bounds of a box (N, 6); the bounds themselves are met exactly."""
     return box[:, :3] * (1 - fractions) + box[:, 3:] * fractions
 
 
-def _within(
-    values: npt.NDArray[np.float64], low: Float32, high: Float32
-) -> npt.NDArray[np.float64]:  # inverse of _between
+def _within(values: Float64, low: Float32, high: Float32) -> Float64:
+    """Inverse of `_between`, of chunks' bounds (C, 3)."""
     base = np.repeat(low.astype(np.float64), CHUNK, axis=0)[: len(values)]
     extent = np.repeat(high.astype(np.float64), CHUNK, axis=0)[: len(values)] - base
     return (values - base) / np.where(extent > 0, extent, 1.0)
@@ -217,7 +216,7 @@ def _chunk_bounds(values: npt.NDArray[Any], chunks: int) -> tuple[Float32, Float
     return low.astype(np.float32), np.maximum.reduceat(values, starts, axis=0).astype(np.float32)
 
 
-def _unpack_rotations(words: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+def _unpack_rotations(words: npt.NDArray[Any]) -> Float64:
     """(N, 4) quaternions; a component other than the largest lies within +-sqrt(1/2)."""
     small = (_unpack(words & 0x3FFFFFFF, (2, 10, 10, 10))[:, 1:] - 0.5) * np.sqrt(2)
     return put_together(small, words >> 30)

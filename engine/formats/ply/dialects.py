@@ -187,13 +187,8 @@ def activation_hints(log_scales: Float32, logits: Float32, dc: Float32) -> list[
         return []
     what = "no change was made; if it renders as fog, export raw values"
     opacities, colors = _as_shown(logits), _as_shown(dc)
-    hints = {
-        "scales": "already exponentiated"
-        if log_scales.min() > 0 and (opacities or np.median(log_scales) < 1)
-        else None,
-        "opacities": opacities,
-        "colors": colors,
-    }
+    raised = log_scales.min() > 0 and (opacities or np.median(log_scales) < 1)
+    hints = {"scales": "already exponentiated" if raised else None, "opacities": opacities, "colors": colors}
     return [
         Repair(f"{name}_activated", len(logits), f"{name} look activated ({how}): {what}")
         for name, how in hints.items()

@@ -29,6 +29,7 @@ _MOTION = re.compile(
     r"(trbf|motion|omega|velocity|vel|delta|rot_l|rot_r|rotation_r)_\w+|f_t_\d+"
     r"|t|mu_t|time|duration|t_scale|(scale|scaling)_t(_\d+)?|v[xyz]"
 )
+"""Of properties that say where, how large or how opaque a Gaussian is at some time."""
 
 _DRAWN = re.compile(
     r"(f_|features?_)?(asg|sg|sb|sv|latent|appearance|brdf|albedo|base_color|roughness|metallic|refl\w*|specular\w*"
@@ -38,18 +39,13 @@ _DRAWN = re.compile(
 """Spherical Gaussians, anisotropic ones, betas and Voronoi cells; latent colors; materials; textures; other kernels."""
 
 
-def is_motion(name: str) -> bool:
-    """Whether a property says where, how large or how opaque a Gaussian is at some time."""
-    return _MOTION.fullmatch(name) is not None
-
-
 def refuse_motion(vertex: Element, *, file: str) -> None:
     """UnsupportedFormatError naming the properties if these Gaussians move: nothing of it has a place in a model."""
     if "binding_0" in vertex.names:  # GaussianAvatars, SurFhead
         message = "the Gaussians ride on a mesh, each stored in the frame of a triangle: export a moment as plain ones"
         raise UnsupportedFormatError(message, file=file, element="vertex", prop="binding_0")
     textured = {"s", "t"} <= vertex.names  # coordinates of a texture, as Blender writes them
-    moving = [p.name for p in vertex.properties if is_motion(p.name) and not (textured and p.name == "t")]
+    moving = [p.name for p in vertex.properties if _MOTION.fullmatch(p.name) and not (textured and p.name == "t")]
     if moving:
         lite = ": a Spacetime clip, which embed and verify take as what it is" if "trbf_center" in moving else ""
         message = f"the Gaussians move{lite}; as a model that stands still it would lose {named(moving)}"
@@ -122,9 +118,7 @@ def ignored(what: str, names: list[str]) -> Repair:
 def carrying(header: Header, names: list[str]) -> list[Repair]:
     """Notes on what `carried_by` carries of these properties and the comments, or cannot."""
     if _is_long(header):
-        text = (
-            f"comments and properties that no Gaussian has were dropped: the header has {header.size:,} bytes already"
-        )
+        text = f"comments and properties that no Gaussian has were dropped: the header has {header.size:,} bytes"
         return [Repair("header_too_long", 1, text)]
     drawn = [name for name in names if _DRAWN.match(name)]
     text = (

@@ -69,9 +69,8 @@ def read_ply(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tup
     mode = mode_of_comments(header.comments)
     if extras.FILTER in vertex.names:
         width = records[extras.FILTER].astype(np.float32)
-        arrays["log_scales"], arrays["opacity_logits"] = extras.fuse_filter(
-            arrays["log_scales"], arrays["opacity_logits"], width
-        )
+        fused = extras.fuse_filter(arrays["log_scales"], arrays["opacity_logits"], width)
+        arrays["log_scales"], arrays["opacity_logits"] = fused
         text = f"Mip-Splatting's {extras.FILTER!r} was folded into sizes and opacities, as its own export does"
         repairs.append(Repair("filter_fused", len(records), text))
         mode = mode or ANTIALIASED
@@ -156,18 +155,15 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[str], list[s
     needed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
     rotations = {f"rot_{i}" for i in range(4)}
     is_ball = "scale_0" in vertex.names and not vertex.names & {"scale_1", "scale_2"}
-    for name in (
-        needed[:-1] if is_ball and not vertex.names & rotations else [*needed[: 9 - is_ball], *sorted(rotations)]
-    ):
+    ball = is_ball and not vertex.names & rotations
+    for name in needed[:-1] if ball else [*needed[: 9 - is_ball], *sorted(rotations)]:
         if name not in vertex.names:
             raise FormatError(f"is missing{_unknown(vertex)}", file=file, element="vertex", prop=name)
 
     harmonics = [name for name in vertex.names if _HARMONICS.fullmatch(name)]
     if harmonics and "f_rest_0" not in vertex.names:
-        message = (
-            f"is missing, but {len(harmonics)} properties such as {min(harmonics)!a} look like harmonics: name them"
-        )
-        message += " f_rest_0 and so on, all of red first, then green, then blue"
+        message = f"is missing, but {len(harmonics)} properties such as {min(harmonics)!a} look like harmonics: name"
+        message += " them f_rest_0 and so on, all of red first, then green, then blue"
         raise FormatError(message, file=file, element="vertex", prop="f_rest_0")
     repairs: list[Repair] = []
     rest = _count_rest(vertex, file)
@@ -194,9 +190,7 @@ def _check_order(records: npt.NDArray[Any], file: str) -> None:
     sample = records[:: 1 + len(records) // _ROWS_AT_ONCE]
     centers = np.stack([sample[axis] for axis in _AXES])
     if centers.dtype.kind == "f" and centers.itemsize > 2 and _sound(centers) < 0.5 < 0.9 < _sound(centers.byteswap()):
-        message = (
-            "is in the other byte order than the header says: export it again, or correct the header's second line"
-        )
+        message = "is in the other byte order than the header says: export it again, or correct its second line"
         raise FormatError(message, file=file, element="vertex", prop="x")
 
 
@@ -253,9 +247,8 @@ def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: froz
         properties = _properties(arrays["sh"].shape[1], channel)
         # What a file lacks, the third scale of discs, is set afterwards.
         sources = tuple(np.array([places.get(name, 0) for name in names]) for names in properties.values())
-        words = tuple(
-            arrays[array].reshape(len(records), len(names)).view(np.uint32) for array, names in properties.items()
-        )
+        rows = ((arrays[array], (len(records), len(names))) for array, names in properties.items())
+        words = tuple(each.reshape(shape).view(np.uint32) for each, shape in rows)
         _spread_words(data, sources, words)
         return
     with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such

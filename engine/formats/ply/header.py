@@ -178,7 +178,7 @@ class _Parser:
 
     def _type(self, name: str, prop: str) -> str:
         if name.lower() not in _SCALAR_TYPES:
-            raise FormatError(f"unknown type {_show(name)}", file=self.file, element=self.current, prop=_clip(prop))
+            raise FormatError(f"unknown type {_show(name)}", file=self.file, element=self.current, prop=prop[:40])
         return _SCALAR_TYPES[name.lower()]
 
     def _check_name(self, name: str) -> None:
@@ -189,10 +189,6 @@ class _Parser:
         return FormatError(message, file=self.file, element=self.current)
 
 
-def _clip(text: str) -> str:
-    return text if len(text) <= 40 else text[:37] + "..."
-
-
 def _show(text: str) -> str:
     """Untrusted text, made harmless for a message."""
-    return ascii(_clip(text))
+    return ascii(text if len(text) <= 40 else text[:37] + "...")

@@ -5,7 +5,6 @@ import struct
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Protocol
 
 from engine.errors import FormatError
 
@@ -30,19 +29,8 @@ _DAMAGE = (
 """What zipfile raises on archives that are damaged, encrypted or beyond it."""
 
 
-class Archive(Protocol):
-    """Parts of a scene by plain name."""
-
-    size: int
-    """Bytes of the whole scene as stored."""
-
-    def read(self, name: str, limit: int) -> bytes:
-        """One part of at most `limit` bytes; FormatError if it is missing, longer or damaged."""
-        ...
-
-
 class ZipArchive:
-    """A bundled scene."""
+    """A bundled scene; `size` are its bytes as stored."""
 
     def __init__(self, data: bytes, *, file: str) -> None:
         self.size, self._file = len(data), file
@@ -61,6 +49,7 @@ class ZipArchive:
             self._entries[name] = entry
 
     def read(self, name: str, limit: int) -> bytes:
+        """One part of at most `limit` bytes; FormatError if it is missing, longer or damaged."""
         entry = self._entries.get(name)
         if entry is None:
             raise FormatError("zip archive lacks this entry", file=self._file, element=name)
@@ -107,8 +96,9 @@ class ZipArchive:
 class Within:
     """A folder inside an archive, by its path, which ends in a slash."""
 
-    def __init__(self, archive: Archive, folder: str) -> None:
-        self._archive, self._folder, self.size = archive, folder, archive.size
+    def __init__(self, archive: "Archive", folder: str) -> None:
+        self._archive, self._folder = archive, folder
+        self.size: int = archive.size
 
     def read(self, name: str, limit: int) -> bytes:
         return self._archive.read(self._folder + name, limit)
@@ -134,6 +124,10 @@ class Folder:
     def weigh(self, names: tuple[str, ...]) -> None:
         """Set `size` to the sum of the parts named; missing ones count nothing."""
         self.size = sum(p.stat().st_size for p in (self._folder / name for name in names) if p.is_file())
+
+
+Archive = ZipArchive | Within | Folder
+"""Parts of a scene by plain name."""
 
 
 def write_zip(parts: dict[str, bytes]) -> bytes:

@@ -32,11 +32,13 @@ def decode_scene(meta: SogMeta, archive: Archive, *, file: str) -> tuple[Gaussia
     """Decode all images of a scene; see `engine.formats.sog.bundle.read_sog`."""
     check_count(meta.count, archive.size, file=file)
     scene = _Scene(meta, archive, file)
+    sh0 = scene.rows("sh0")
     quats, quat_repairs = scene.quats()
-    logits, dc = scene.opacity_logits(), scene.dc()
+    logits, dc = meta.opacity.astype(np.float32)[sh0[:, 3]], _look_up(meta.dc, sh0)
     rest, rest_repairs = scene.rest()
     sh = dc[:, None] if rest is None else np.concatenate([dc[:, None], rest], axis=1)  # (N, K, 3)
-    model, repairs = clean(scene.means(), scene.log_scales(), quats, logits, sh, file=file, element="gaussians")
+    means, log_scales = scene.means(), _look_up(meta.scales, scene.rows("scales"))
+    model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="gaussians")
     return with_mode(model, meta.mode), (*meta.repairs, *quat_repairs, *rest_repairs, *repairs)
 
 
@@ -47,7 +49,6 @@ class _Scene:
         self._meta, self._archive, self._file = meta, archive, file
         self._size: tuple[int, int] | None = None
         self._pixel_limit = 2 * meta.count + (1 << 16)  # writers pad to blocks or to a square
-        self._sh0 = self._rows("sh0")
 
     def _load(self, name: str, pixel_limit: int) -> tuple[bytes, tuple[int, int]]:
         # A lossless image is hardly ever larger than its four bytes a pixel.
@@ -60,7 +61,7 @@ class _Scene:
     def _fault(self, message: str, name: str) -> FormatError:
         return FormatError(f"{message}; {REENCODED}", file=self._file, element=name)
 
-    def _rows(self, key: str, index: int = 0) -> Pixels:
+    def rows(self, key: str, index: int = 0) -> Pixels:
         """(N, 4) the pixels of the Gaussians in one image."""
         name, count = self._meta.files[key][index], self._meta.count
         data, size = self._load(name, self._pixel_limit)
@@ -79,10 +80,8 @@ class _Scene:
         count, size = self._meta.count, self._size or (0, 0)
         beyond = int(np.count_nonzero(pixels[count:, 3] >= QUATERNION_TAG))
         if beyond > 4 * sum(size):  # writers pad to multiples of 4
-            message = (
-                f"{size[0]}x{size[1]} pixels, {beyond} of them rotations beyond the {count} Gaussians of meta.json"
-            )
-            raise self._fault(message, name)
+            said = f"{beyond} of them rotations beyond the {count} Gaussians of meta.json"
+            raise self._fault(f"{size[0]}x{size[1]} pixels, {said}", name)
         small = (pixels[:count, :3] / np.float32(127.5) - 1) * np.float32(np.sqrt(0.5))
         largest = np.sqrt(np.maximum(1 - np.einsum("nc,nc->n", small, small), 0))
         wrong = float(np.mean(np.abs(small).max(axis=1) > largest + _IMPOSSIBLE))
@@ -92,7 +91,7 @@ class _Scene:
             raise self._fault("its transparency, which says what component each rotation leaves out, is gone", name)
 
     def means(self) -> Float32:
-        low, high, names = self._rows("means", 0), self._rows("means", 1), self._meta.files["means"]
+        low, high, names = self.rows("means", 0), self.rows("means", 1), self._meta.files["means"]
         some = np.ascontiguousarray(low[:_SAMPLE, :3])
         if len(some) > 4 * _PALETTE >= 4 * len(np.unique(some.view("V3"))):
             raise self._fault("holds no more values than a palette", names[0])
@@ -109,17 +108,8 @@ class _Scene:
             raise self._fault("its numbers are nearly all even, as near-lossless WebP leaves them", names[0])
         return result
 
-    def log_scales(self) -> Float32:
-        return _look_up(self._meta.scales, self._rows("scales"))
-
-    def dc(self) -> Float32:
-        return _look_up(self._meta.dc, self._sh0)
-
-    def opacity_logits(self) -> Float32:
-        return self._meta.opacity.astype(np.float32)[self._sh0[:, 3]]
-
     def quats(self) -> tuple[Float32, tuple[Repair, ...]]:
-        pixels = self._rows("quats")
+        pixels = self.rows("quats")
         tagged = pixels[:, 3] >= QUATERNION_TAG
         largest = np.where(tagged, pixels[:, 3] - np.uint8(QUATERNION_TAG), 0)
         table = ((np.arange(256) / 127.5 - 1.0) * np.sqrt(0.5)).astype(np.float32)
@@ -139,7 +129,7 @@ class _Scene:
             return None, ()
         book = self._centroids(palette)  # (P, K - 1, 3)
         count = len(book) if palette.count is None else palette.count
-        pixels = self._rows("shN", 1)
+        pixels = self.rows("shN", 1)
         labels = pixels[:, 0] | (pixels[:, 1].astype(np.uint16) << 8)
         stray = np.flatnonzero(labels >= count)
         if len(stray):

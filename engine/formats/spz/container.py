@@ -76,23 +76,27 @@ def unpack(data: bytes, *, file: str) -> Payload:
     FormatError if it is no SPZ file, or its bytes are not those that its header implies. Never more than those is
     unpacked.
     """
-    if data[:2] == GZIP_MAGIC:
-        return _unpack_gzip(data, file=file)
-    if len(data) >= 4 and int.from_bytes(data[:4], "little") == MAGIC:
-        plain = len(data) >= 8 and int.from_bytes(data[4:8], "little") in STREAM_VERSIONS
-        if not plain:
-            return _unpack_zstd(data, file=file)
-        return _split(_stream_header(data[: _HEADER.size], len(data), file=file), data[_HEADER.size :], file=file)
-    raise FormatError("is no SPZ file: neither gzip nor NGSP at its start", file=file)
+    packed, version = data[:2] == GZIP_MAGIC, int.from_bytes(data[4:8], "little")
+    if not packed and int.from_bytes(data[:4], "little") != MAGIC:
+        raise FormatError("is no SPZ file: neither gzip nor NGSP at its start", file=file)
+    if not packed and len(data) >= 8 and version not in STREAM_VERSIONS:
+        return _unpack_zstd(data, file=file)
+    head = gunzip(data, _HEADER.size, file=file) if packed else data[: _HEADER.size]
+    if len(head) < _HEADER.size:
+        raise FormatError(f"header has {len(head)} bytes, expected {_HEADER.size}", file=file)
+    magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
+    header = Header(version, count, degree, bits, flags)
+    _check_header(header, magic, STREAM_VERSIONS, len(data), file=file)
+    # One byte more than may be there: it tells a longer stream apart, and the checksum is reached.
+    most = _HEADER.size + sum(header.section_sizes) + header.spare + 1
+    return _split(header, (gunzip(data, most, file=file) if packed else data)[_HEADER.size :], file=file)
 
 
 def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
         raise FormatError("is no SPZ file", file=file)
     if header.version not in versions:
-        message = (
-            f"SPZ version {header.version}, read are 1 to 3, in gzip or plain, and 4: export one of these, or .ply"
-        )
+        message = f"SPZ version {header.version}, read are 1 to 3, in gzip or plain, and 4: export these, or .ply"
         raise UnsupportedFormatError(message, file=file, element="header")
     if header.sh_degree > MAX_DEGREE:
         message = f"spherical harmonics of degree {header.sh_degree}, read are 0 to {MAX_DEGREE}"
@@ -104,23 +108,6 @@ def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: i
         message = f"{header.fractional_bits} fractional bits, positions have {MAX_FRACTIONAL_BITS}"
         raise FormatError(message, file=file, element="header", prop="fractionalBits")
     check_count(header.count, size, file=file)
-
-
-def _stream_header(head: bytes, size: int, *, file: str) -> Header:
-    """The header of a file of one stream, checked."""
-    if len(head) < _HEADER.size:
-        raise FormatError(f"header has {len(head)} bytes, expected {_HEADER.size}", file=file)
-    magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
-    header = Header(version, count, degree, bits, flags)
-    _check_header(header, magic, STREAM_VERSIONS, size, file=file)
-    return header
-
-
-def _unpack_gzip(data: bytes, *, file: str) -> Payload:
-    header = _stream_header(gunzip(data, _HEADER.size, file=file), len(data), file=file)
-    # One byte more than may be there: it tells a longer stream apart, and the checksum is reached.
-    most = _HEADER.size + sum(header.section_sizes) + header.spare + 1
-    return _split(header, gunzip(data, most, file=file)[_HEADER.size :], file=file)
 
 
 def _split(header: Header, body: bytes, *, file: str) -> Payload:

@@ -35,9 +35,8 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
         means = np.frombuffer(positions, dtype="<f2").astype(np.float32).reshape(-1, 3)
     else:
         means = attributes.decode_positions(positions, header.fractional_bits)
-    quats = (
-        attributes.decode_first_three(rotations) if header.version < 3 else attributes.decode_smallest_three(rotations)
-    )
+    decode = attributes.decode_first_three if header.version < 3 else attributes.decode_smallest_three
+    quats = decode(rotations)
     sh = np.empty((header.count, (min(header.sh_degree, 3) + 1) ** 2, 3), dtype=np.float32)
     sh[:, 0] = attributes.look_up(attributes.COLORS, colors).reshape(-1, 3)
     attributes.decode_sh(rest, sh)
