@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import stat
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,16 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "my.record"
     path.write_bytes(b"x")
     return path
+
+
+def test_what_is_packed_is_not_signed(
+    desk: list[str | Path], record: Path, files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    packed = tmp_path / "sent.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.write(files["sog"], "scene.sog")
+    message = refused(capsys, "credentials", "sign", packed, tmp_path / "a.sog", "--record", record, *desk)
+    assert "sent.zip' is packed: unpack it and sign the file" in message
 
 
 def test_sign_and_inspect(

@@ -15,6 +15,7 @@ import pytest
 import engine.formats
 from engine.errors import FormatError, InputError, UnsupportedFormatError
 from engine.formats import FORMATS, encode_model, read_model, write_model
+from engine.formats.image_files import is_picture
 from tests.formats.models import DATA, assert_same, random_model
 
 TRAIN = DATA / "train_1000.ply"
@@ -222,3 +223,12 @@ def test_a_splat_that_is_cut_off_is_named_as_one(cut: int) -> None:
 def test_a_transfer_as_text_is_named(kind: str, what: str, change: Callable[[bytes], bytes]) -> None:
     with pytest.raises(FormatError, match=f"its {what} were changed.*again, as binary"):
         read_model(change(encode_model(random_model(0, 3000), kind)), name="scene." + kind)
+
+
+@pytest.mark.parametrize("address", ["https://superspl.at/scene?id=1", "s3://bucket/a.ply", "file:///tmp/no.ply"])
+def test_an_address_is_no_file(address: str) -> None:
+    for read in (read_model, is_picture):
+        with pytest.raises(InputError, match="is an address: download the file"):
+            read(Path(address))
+    with pytest.raises(InputError, match=r"C:/no\.ply: cannot be read: No such file"):
+        read_model("C:/no.ply")
