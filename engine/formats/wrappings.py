@@ -66,11 +66,8 @@ def _model_in(data: bytes, file: str) -> tuple[str, ZipArchive | None]:
 
 def _is_hidden(name: str) -> bool:
     """Whether an entry is none of the user's, such as the twin that macOS adds to each, or leads out of the archive."""
-    return (
-        name.startswith("/")
-        or ":" in name
-        or any(part.startswith((".", "__MACOSX")) for part in PurePosixPath(name).parts)
-    )
+    parts = PurePosixPath(name).parts
+    return name[1:2] == ":" or any(part.startswith((".", "/", "__MACOSX")) for part in parts)
 
 
 def _unpack(archive: ZipArchive, place: Path, most: int, file: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from engine.scenes.scene_files import read_suspect
 from tests.formats.damage import little_memory
 from tests.formats.gltf_files import asset_of, glb_of, splats
 from tests.formats.models import assert_same, random_model
+from tests.formats.sog_scenes import unbundle
 from tests.formats.spz_scenes import as_version_4
 
 MODEL = random_model(1, 300)
@@ -57,18 +59,32 @@ def test_a_model_in_gzip_or_zip_is_read(kind: str) -> None:
 def test_formats_that_are_archives_themselves_are_no_wrapping() -> None:
     for kind in ("spz", "sog"):
         assert "unwrapped" not in [each.code for each in read_model(encode_model(MODEL, kind)).repairs]
+    scene = unbundle(encode_model(MODEL, "sog"))
+    assert read_model(zip_of(scene | {"first.ply": b"ply"})).format == "sog"
 
 
 def test_a_gltf_in_an_archive_may_name_what_lies_in_it() -> None:
     parsed, binary = asset_of(splats(40, 1))
     beside = json.dumps(parsed | {"buffers": [{"byteLength": len(binary), "uri": "bin/scene%201.bin"}]}).encode()
-    packed = zip_of({"a/scene.gltf": beside, "a/bin/scene 1.bin": binary, "license.txt": b"CC-BY"})
+    packed = zip_of({"a/": b"", "a/scene.gltf": beside, "a/bin/scene 1.bin": binary, "license.txt": b"CC-BY"})
     loaded = read_model(packed, name="of another user")
     assert_same(loaded.model, read_model(glb_of(parsed, binary)).model)
     with pytest.raises(FormatError, match=r"'a/scene\.gltf': names 'bin/scene 1\.bin', which is not beside it"):
         read_model(zip_of({"a/scene.gltf": beside, "../a/bin/scene 1.bin": binary, "scene 1.bin": binary}))
     with pytest.raises(FormatError, match="cannot be unpacked"):
         read_model(zip_of({"a/scene.gltf": beside, "a/bin": b"", "a/bin/scene 1.bin": binary}))
+
+
+def test_nothing_is_written_beyond_the_archive(tmp_path: Path) -> None:
+    parsed, binary = asset_of(splats(9, 0))
+    beside = json.dumps(parsed | {"buffers": [{"byteLength": len(binary), "uri": "a.bin"}]}).encode()
+    absolute, above = tmp_path / "written", f"written-{tmp_path.parent.name}-{tmp_path.name}"
+    loaded = read_model(zip_of({str(absolute): b"x", f"../{above}": b"x", "a.gltf": beside, "a.bin": binary}))
+    assert len(loaded.model) == 9
+    assert not absolute.exists()
+    assert not Path(tempfile.gettempdir(), above).exists()
+    with pytest.raises(UnsupportedFormatError, match="without a model in it"):
+        read_model(zip_of({"/a.ply": b"", "C:/a.ply": b"", "../a.ply": b""}))
 
 
 def test_a_textured_mesh_in_an_archive_is_a_suspect(tmp_path: Path) -> None:
@@ -88,6 +104,8 @@ def test_several_models_are_named() -> None:
         read_model(zip_of({"a/1.ply": b"", "b.spz": b"", "c.txt": b""}))
     with pytest.raises(UnsupportedFormatError, match=r"without a model in it \(\.ply"):
         read_model(zip_of({"photo.jpg": b"\xff\xd8\xff"}))
+    with pytest.raises(UnsupportedFormatError, match="PyTorch checkpoint"):  # of more entries than a scene has
+        read_model(zip_of({"a/data.pkl": b"", "a/a.ply": b""} | {f"a/data/tensor-{k:040}": b"" for k in range(900)}))
 
 
 def test_what_is_wrong_inside_is_said_of_it() -> None:
