@@ -88,6 +88,23 @@ def test_names_of_scripts(other: list[str], own: str) -> None:
     assert loaded.repairs[0].count == len(other)
 
 
+def test_colors_sizes_and_rotations_as_lists() -> None:
+    plain = names_of(0)
+    rows = rows_for(plain, 40)
+    kinds = [("xyz", "<f4", 3), ("n", "u1"), ("dc", "<f4", 3), ("o", "<f4"), ("m", "u1"), ("s", "<f4", 3), ("l", "u1")]
+    table = np.zeros(40, [*kinds, ("q", "<f4", 4)])
+    table["n"], table["m"], table["l"] = 3, 3, 4
+    table["xyz"], table["dc"], table["o"] = rows[:, :3], rows[:, 3:6], rows[:, 6]
+    table["s"], table["q"] = rows[:, 7:10], rows[:, 10:]
+    head = plain_ply(["x", "y", "z", "f_dc", "opacity", "scale", "rot"], np.zeros((40, 7))).split(b"end_header\n")[0]
+    for name in (b"f_dc", b"scale", b"rot"):
+        head = head.replace(b"float " + name, b"list uchar float " + name)
+    loaded = read_model(head + b"end_header\n" + table.tobytes())
+    assert_same(loaded.model, read_model(plain_ply(plain, rows)).model)
+    assert loaded.repairs[0].code == "names_replaced"
+    assert_same(read_model(encode_model(loaded.model, "ply")).model, loaded.model)
+
+
 def test_names_that_are_not_known_are_named() -> None:
     names = [name.replace("f_dc_", "colour_") for name in NAMES]
     with pytest.raises(FormatError, match=r"'f_dc_0': is missing; not known here: 'colour_0', .*codebook"):
@@ -101,6 +118,14 @@ def test_harmonics_of_another_name_are_not_lost(other: str) -> None:
     with pytest.raises(FormatError, match=rf"'f_rest_0': is missing, but 9 properties such as '{other}_0'"):
         read_model(plain_ply(names, ROWS))
     assert read_model(plain_ply([*NAMES, "sh_0"], np.hstack([ROWS, ROWS[:, :1]]))).model.sh_degree == 1
+    plain = [name for name in NAMES if not name.startswith("f_rest")]
+    with pytest.raises(FormatError, match="'f_rest_0': is missing, but 9 properties such as 'sh1_0'"):  # Houdini's
+        read_model(plain_ply([*plain, *(f"sh{k}_{c}" for k in (1, 2, 3) for c in range(3))], ROWS))
+    head, _ = plain_ply(plain, ROWS[:, : len(plain)]).split(b"end_header\n")
+    rows = np.zeros(40, [("floats", "<f4", len(plain)), ("length", "u1"), ("rest", "<f4", 9)])
+    rows["length"] = 9
+    with pytest.raises(FormatError, match=r"'f_rest_0': is missing, but 9 properties such as 'f_rest\[0\]'"):
+        read_model(head + b"property list uchar float f_rest\nend_header\n" + rows.tobytes())
 
 
 def test_the_first_version_of_gltf_is_named() -> None:
@@ -157,9 +182,9 @@ def test_properties_of_other_types_are_carried(kind: str, code: str) -> None:
 
 def test_values_between_commas_are_named() -> None:
     head = plain_ply(NAMES, ROWS).split(b"end_header\n")[0].replace(b"binary_little_endian", b"ascii")
-    for between, words in ((", ", "separate values by blanks"), (" ", "decimal points")):
+    for between, words in ((", ", "separate values by blanks"), (";", "separate values by"), (" ", "decimal points")):
         text = "\n".join(between.join(f"{v:.6f}" for v in row) for row in ROWS)
-        text = text if between == ", " else text.replace(".", ",")
+        text = text if between != " " else text.replace(".", ",")
         with pytest.raises(FormatError, match=words):
             read_model(head + b"end_header\n" + text.encode())
 

@@ -119,7 +119,8 @@ def _fault(block: list[str], start: int, element: Element, file: str) -> FormatE
     for row, line in enumerate(block, start):
         words = line.split()
         if len(words) != len(element.properties):
-            message = f"the line holds {len(words)} values, expected {len(element.properties)}"
+            hint = " (separate values by blanks)" if len(words) == 1 else ""
+            message = f"the line holds {len(words)} values, expected {len(element.properties)}{hint}"
             return FormatError(message, file=file, element=element.name, row=row)
         for word, prop in zip(words, element.properties, strict=True):
             try:

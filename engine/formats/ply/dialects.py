@@ -17,6 +17,7 @@ DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _OTHERS = {"rot": ("rotation",), "scale": ("scaling", "scales"), "f_dc": ("features_dc", "sh_dc", "dc")}
 _ALIASES = {f"{other}_{i}": f"{own}_{i}" for own, others in _OTHERS.items() for other in others for i in range(4)}
+_ALIASES |= {f"{own}[{i}]": f"{own}_{i}" for own in _OTHERS for i in range(4)}  # lists
 _ALIASES |= {f"{start}{axis}": f"rot_{i}" for i, axis in enumerate("wxyz") for start in ("rot_", "q")}
 _ALIASES |= {f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")}  # names that scripts write, and INRIA's
 _HALF_LIMITS = {"scale": -LOG_SCALE_RANGE[0], "opacity": OPACITY_LOGIT_LIMIT, "f_": 100.0, "rot": 100.0}

@@ -27,7 +27,7 @@ REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16, 72: 16}
 _AXES = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
 _ANCHORS = ("f_anchor", "f_offset", "anchor_feat")
-_HARMONICS = re.compile(r"(sh|shs|shn|sh_rest|features?_rest|sh_coeffs?)_?\d+", re.IGNORECASE)
+_HARMONICS = re.compile(r"(f_rest|shs?|shn|sh_rest|features?_rest|sh_coeffs?)(_?\d+(_\d+)?|\[\d+\])", re.IGNORECASE)
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 
