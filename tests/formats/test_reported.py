@@ -314,3 +314,12 @@ def test_what_a_gltf_hides_is_left_out() -> None:
 def test_a_glb_of_another_length(change: Callable[[bytes], bytes], what: str) -> None:
     with pytest.raises(FormatError, match=f"are there: {what}"):
         read_model(change(glb_of(*asset_of(splats(9, 0)))))
+
+
+def test_a_signalling_nan_among_halves_is_left_out() -> None:
+    head, _ = plain_ply(names_of(0), np.zeros((9, 14))).split(b"end_header\n")
+    rows = np.zeros(9, [("x", "<u2"), *((name, "<f4") for name in names_of(0)[1:])])
+    rows["x"][4] = 0x7D00
+    loaded = read_model(head.replace(b"float x", b"half x") + b"end_header\n" + rows.tobytes())
+    assert loaded.repairs[0].code == "rows_dropped"
+    assert len(loaded.model) == 8

@@ -188,7 +188,8 @@ def _unknown(vertex: Element) -> str:
 def _check_order(records: npt.NDArray[Any], file: str) -> None:
     """FormatError where most centers are no numbers of a scene, but are in the other byte order."""
     sample = records[:: 1 + len(records) // _ROWS_AT_ONCE]
-    centers = np.stack([sample[axis] for axis in _AXES])
+    with np.errstate(invalid="ignore"):  # signalling NaN of halves
+        centers = np.stack([sample[axis] for axis in _AXES])
     if centers.dtype.kind == "f" and centers.itemsize > 2 and _sound(centers) < 0.5 < 0.9 < _sound(centers.byteswap()):
         message = "is in the other byte order than the header says: export it again, or correct its second line"
         raise FormatError(message, file=file, element="vertex", prop="x")
