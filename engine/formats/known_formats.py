@@ -7,9 +7,8 @@ from engine.errors import UnsupportedFormatError
 from engine.formats import kinds
 from engine.formats.declaration import Kind
 
-_MODULES = sorted(module.name for module in pkgutil.iter_modules(kinds.__path__))
-_DECLARED: list[Kind] = [kind for name in _MODULES for kind in import_module(f"{kinds.__name__}.{name}").KINDS]
-KINDS = tuple(sorted(_DECLARED, key=lambda kind: kind.guessed))
+_MODULES = (import_module(f"{kinds.__name__}.{name}") for _, name, _ in pkgutil.iter_modules(kinds.__path__))  # by name
+KINDS: tuple[Kind, ...] = tuple(sorted((k for module in _MODULES for k in module.KINDS), key=lambda k: k.guessed))
 KIND_BY_NAME = {kind.name: kind for kind in KINDS}
 FORMATS = tuple(kind.name for kind in KINDS if kind.write and not kind.load)
 """What is always read and written; also the file name's ending of each."""
