@@ -34,12 +34,12 @@ class RecoveryConfig:
     knee: float = 0.02  # below which an error counts by its square, of a range of 1
     stretch: float = 1.0  # most that a log scale changes: no needles
     opacity_logit: float = 7.0  # beyond which none goes that did not start there
-    # Pruning by turns: how far below the budget it starts (the next where that is not made good); PSNR that a factor of
+    # Pruning by turns: how far below the budget it starts (at it, where that is not made good); PSNR that a factor of
     # e in the number of Gaussians is worth, at first and at the least and most; the least and most share that a turn
     # leaves; how far below the budget another round may do; and the gain of a round below which there is no more, dB
-    heads_db: tuple[float, ...] = (7.0, 2.0)
+    heads_db: tuple[float, ...] = (7.0, 0.0)
     slope_db: float = 6.0
-    slopes_db: tuple[float, float] = (3.0, 25.0)
+    slopes_db: tuple[float, float] = (3.0, 100.0)
     least_share: float = 0.65
     most_share: float = 0.98
     near_db: float = 0.7

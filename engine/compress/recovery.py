@@ -116,10 +116,10 @@ class Recovery:
         return base.with_(**{name: array.copy() for name, array in moving.items()} | {"means": means})
 
     @property
-    def goes_on(self) -> bool:
-        """Whether there is work left for another round."""
+    def rounds_left(self) -> int:
+        """For how many more rounds there is work left."""
         pixels = max(camera.width * camera.height for camera in self._target.cameras)
-        return self.left >= sum(_CONFIG.round) * cost(len(self._base), pixels)
+        return int(self.left // (sum(_CONFIG.round) * cost(len(self._base), pixels)))
 
     def round(self) -> GaussianModel:
         """Steps at full rates, then at smaller ones, without which some decibels stay away; gives the model after
@@ -170,7 +170,7 @@ class Recovery:
 def fit(recovery: Recovery, measure: Measure, tell: Tell) -> tuple[GaussianModel, float]:
     """Fit until the worst view gains no more, or the work is done; gives the best by then and its PSNR."""
     best, best_db, gain_db = recovery.model, measure(recovery.model), np.inf
-    while recovery.goes_on and gain_db >= _CONFIG.least_gain_db:
+    while recovery.rounds_left and gain_db >= _CONFIG.least_gain_db:
         model = recovery.round()
         psnr = measure(model)
         gain_db = psnr - best_db
@@ -199,7 +199,7 @@ def prune_and_fit(
         return prune(model, impact, measure, radius, config)
     left, fewest = target.work, min(fewest, len(model) // 4)
     for head in _CONFIG.heads_db:
-        start = prune(model, impact, measure, radius, replace(config, budget_db=config.budget_db - head))
+        pruned = start = prune(model, impact, measure, radius, replace(config, budget_db=config.budget_db - head))
         if len(start.model) == len(model):  # too few to prune
             return start
         if len(start.model) < fewest:
@@ -210,7 +210,7 @@ def prune_and_fit(
         if best is not None:
             return best
         left = recovery.left
-    return prune(model, impact, measure, radius, config)
+    return pruned
 
 
 def _by_turns(
@@ -218,8 +218,10 @@ def _by_turns(
 ) -> Pruned | None:
     """The fewest Gaussians by which a fit reaches the budget; None where none does."""
     best: Pruned | None = None
-    at, before, slope = recovery, -np.inf, _CONFIG.slope_db  # `recovery` is the last fit that reached the budget
-    while at.goes_on:
+    at, before = recovery, -np.inf  # `recovery` is the last fit that reached the budget
+    # Of a model that is pruned to the budget itself, since fits of fewer did not do, hardly any are to spare
+    slope = _CONFIG.slope_db if start.psnr_db < budget_db else _CONFIG.slopes_db[1]
+    while at.rounds_left:
         fitted = at.round()
         psnr = measure(fitted)
         tell(at.done, psnr)
@@ -228,7 +230,10 @@ def _by_turns(
             slope = (best.psnr_db - psnr) / np.log(len(recovery.kept) / len(at.kept))
         if psnr >= budget_db:
             best, recovery = Pruned(fitted, start.kept[at.kept], psnr, start.merged), at
-        stays = best is None or (budget_db - _CONFIG.near_db <= psnr < budget_db and gained == np.inf)
+        if best is None:  # rounds gain less and less: would as much again in each that is left do?
+            stays = psnr + gained * at.rounds_left >= budget_db
+        else:
+            stays = budget_db - _CONFIG.near_db <= psnr < budget_db and gained == np.inf
         if best is not None and not stays:
             share = np.exp((budget_db - best.psnr_db) / np.clip(slope, *_CONFIG.slopes_db))
             share = max(share, _CONFIG.least_share, fewest / len(recovery.kept))

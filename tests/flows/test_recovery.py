@@ -114,6 +114,26 @@ def test_where_no_fit_reaches_the_budget_nothing_goes() -> None:
     assert len(prune_and_fit(whole, impact, short, 1.0, config, target, 300, tell).model) == len(whole)
 
 
+def test_work_is_not_spent_on_a_fit_that_will_not_reach_the_budget() -> None:
+    """Where every Gaussian counts, what pruning alone leaves is fitted, and a few more go."""
+    whole = dense(1500)
+    target = target_of(whole, 4)
+    impact, config = sum_squares(whole, target.cameras), PruneConfig(budget_db=30.0)
+    seen: list[tuple[float, float]] = []
+
+    def steep(model: GaussianModel) -> float:
+        """40 dB a factor of e, of which a fit gives 2, and 0.2 more with each round."""
+        fitted = not np.isin(model.means, whole.means).all()
+        return float(31.0 + 40.0 * np.log(len(model) / len(whole))) + fitted * (2.0 + 0.2 * len(seen))
+
+    plain = prune(whole, impact, steep, 1.0, config)
+    found = prune_and_fit(whole, impact, steep, 1.0, config, target, 100, lambda *progress: seen.append(progress))
+    assert found.psnr_db >= 30.0
+    assert 0.8 * len(plain.model) < len(found.model) < len(plain.model)
+    assert not np.isin(found.model.means, whole.means).all()
+    assert [psnr_db > 28.0 for _, psnr_db in seen[:4]] == [False, False, True, True]
+
+
 def test_the_same_bits_on_any_number_of_threads() -> None:
     whole = dense(1500, 1)
     thin, target = whole.take(np.arange(0, len(whole), 2)), target_of(whole, 4)
