@@ -47,8 +47,8 @@ class Gradients:
     centers: Float32  # (2, N) by x and y of the projected centres, pixels, the projected shapes held
     colors: Float32  # (N, 3) by the view-dependent colours
     sh: Float32  # empty, (0, K, 3), when the colours were given
-    viewmat: Float64  # the twelve numbers of the pose taken as free, the last row is 0
-    K: Float64  # fx, fy, cx, cy, 0 elsewhere
+    viewmat: Float64  # of a camera without skew: the twelve numbers of the pose taken as free, the last row is 0
+    K: Float64  # of such a camera: fx, fy, cx, cy, 0 elsewhere
 
     @classmethod
     def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> "Gradients":

@@ -49,10 +49,12 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
 
     Rotation (9), translation (3), fx, fy, cx, cy, the four limits of x/z and y/z for the Jacobian
     (right, left, bottom, top), width, height, eps2d, near, log2 of the smallest alpha, tiles per row and
-    column, 1 where opacity falls with the low pass, 1 where they are sorted by distance.
+    column, 1 where opacity falls with the low pass, 1 where they are sorted by distance. Skew is in the first row of
+    the rotation and the translation.
     """
-    R, t, K = camera.viewmat[:3, :3], camera.viewmat[:3, 3], camera.K
+    R, t, K = camera.viewmat[:3, :3].copy(), camera.viewmat[:3, 3].copy(), camera.K
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    R[0], t[0] = R[0] + K[0, 1] / fx * R[1], t[0] + K[0, 1] / fx * t[1]
     w, h = camera.width, camera.height
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * w / fx, FRUSTUM_MARGIN * 0.5 * h / fy
     limits = [(w - cx) / fx + margin_x, -cx / fx - margin_x, (h - cy) / fy + margin_y, -cy / fy - margin_y]

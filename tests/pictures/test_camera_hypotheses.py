@@ -21,7 +21,7 @@ def cloud(rng: np.random.Generator, count: int) -> tuple[np.ndarray, Camera]:
 def test_columns_are_the_derivative_of_the_motion() -> None:
     points, camera = cloud(np.random.default_rng(1), 20)
     rays, depth = normalized(points, camera)
-    columns = point_columns(rays, depth / 3.0, camera.K[0, 0])
+    columns = point_columns(rays, depth / 3.0, camera.K)
     for k in range(PARAMETERS):
         step = np.zeros(PARAMETERS)
         step[k] = 1e-6

@@ -32,8 +32,9 @@ def test_points_appear_where_the_picture_was_moved_to(camera: Camera, motion: tu
     np.testing.assert_allclose(project(points, there), expected, atol=1e-9)
 
 
-def test_a_view_from_aside_is_a_camera_where_its_pixels_stay_upright(camera: Camera) -> None:
-    turn = np.array([[0.995, 0.0, 0.0998], [0.0, 1.0, 0.0], [-0.0998, 0.0, 0.995]])
+@pytest.mark.parametrize("slant", [0.0, 0.01])
+def test_a_view_from_aside_is_a_camera(camera: Camera, slant: float) -> None:
+    turn = np.array([[0.995, slant, 0.0998], [0.0, 1.0, 0.0], [-0.0998, 0.0, 0.995]])
     aside = camera.K @ turn @ np.linalg.inv(camera.K)
     points = np.random.default_rng(0).normal(0.0, 0.5, (50, 3))
     there = carried(camera, aside / aside[2, 2], 320, 240)
@@ -42,10 +43,7 @@ def test_a_view_from_aside_is_a_camera_where_its_pixels_stay_upright(camera: Cam
 
 
 def test_what_no_camera_shows_is_not_carried(camera: Camera) -> None:
-    slanted, turned_over = np.eye(3), np.diag([-1.0, 1.0, 1.0])
-    slanted[0, 1] = 0.01
-    assert carried(camera, slanted, 320, 240) is None
-    assert carried(camera, turned_over, 320, 240) is None
+    assert carried(camera, np.diag([-1.0, 1.0, 1.0]), 320, 240) is None
 
 
 def test_simpler_motions_are_near_a_bent_one() -> None:

@@ -54,7 +54,7 @@ def test_what_is_known_of_a_camera_is_not_forgotten_at_the_next_size(
 def test_a_camera_known_to_be_near_is_spared_wide_blurs(plant: GaussianModel) -> None:
     true = around(plant, 100.0, 25.0, 1.5, 1.4)
     picture = luma(render(plant, true))
-    near = moved(true, np.array([2e-4, -2e-4, 0, 0, 0, 0, 0, 0, 0]), 1.0)
+    near = moved(true, np.array([2e-4, -2e-4, *np.zeros(9)]), 1.0)
     for off, iterations in ((0.3, 2), (np.inf, 3)):  # of the blurs 3, 1.5 and 0.8 only the last ends it
         few = refine_level(plant, picture, near, iterations, 0.5, max_error=off)
         enough = refine_level(plant, picture, near, 9, 0.5, max_error=off)
@@ -72,4 +72,4 @@ def test_what_freeing_the_middle_of_a_picture_moves_tells_whether_it_was_cropped
     wrong = refine_level(plant, picture, Camera(true.viewmat, K, true.width, true.height), 30, 0.005)
     assert own is not None
     assert wrong is not None
-    assert max(own.shift, own.step, wrong.step) < 0.01 < CONFIG.principal_point_step < wrong.shift
+    assert max(own.shift, own.step, wrong.step) < 0.01 < CONFIG.free_step < wrong.shift

@@ -95,7 +95,7 @@ def test_landmarks_that_agree_on_a_camera_a_little_off_are_looked_at_closer(monk
     true = make_rig(plant, 1, 640, 480, jitter=np.full((1, 4), 0.3))[0]
     picture = np.clip(render(plant, true), 0.0, 1.0) ** 0.6
     picture[:, :260] = 0.6  # else the first look explains it at once
-    off = moved(true, np.array([0.02, -0.03, 0.05, 0.03, 0.03, 0.1, 0.15, 0.0, 0.0]), 1.0)
+    off = moved(true, np.array([0.02, -0.03, 0.05, 0.03, 0.03, 0.1, 0.15, *np.zeros(4)]), 1.0)
     start = Hypothesis(off, np.ones(20, dtype=np.bool_), 1.0)
     monkeypatch.setattr(keypoint_cameras.MatchedKeypoints, "hypotheses", lambda look, focals: [start])
     monkeypatch.setattr(keypoint_cameras.MatchedKeypoints, "at_other_focals", lambda look, start, factors: iter(()))

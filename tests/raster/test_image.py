@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from engine.errors import InputError
-from engine.model import GaussianModel
+from engine.model import Camera, GaussianModel
 from engine.raster import EarlyStop, RasterSettings, prepare_view, render, render_depth, sh_colors
 from tests.raster.scenes import TOLERANCE, assert_same_image, camera, random_model
 from tests.reference import raster as twin
@@ -36,6 +36,14 @@ def test_render(count: int, coefficients: int, size: tuple[int, int]) -> None:
     again, seen_alpha = view.render(sh_colors(model.sh, model.means, view_from.position), 0.3)
     np.testing.assert_array_equal(again, image)
     assert_same_image(seen_alpha, alpha)
+
+
+def test_skewed_pixels() -> None:
+    model, upright = random_model(200, 3, 9), camera()
+    K = upright.K.copy()
+    K[0] += (7.0, 15.0, -4.0)
+    skewed = Camera(upright.viewmat, K, upright.width, upright.height)
+    assert_same_image(render(model, skewed), twin_image(model, skewed)[0])
 
 
 def test_pixels_end() -> None:

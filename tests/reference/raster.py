@@ -69,13 +69,15 @@ def project(
     """Centres (N, 2), covariances (N, 2, 2), depths (N,), and which Gaussians are drawn."""
     R, t, K = p["viewmat"][:3, :3], p["viewmat"][:3, 3], p["K"]
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    skew = (K[0, 1] / fx).detach()  # of which the engine has no gradients
     x, y, z = (p["means"] @ R.T + t).unbind(1)
+    x = x + skew * y
     z_safe = torch.where(z > settings.near, z, torch.ones_like(z))
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * width / fx, FRUSTUM_MARGIN * 0.5 * height / fy
     tx = torch.minimum(torch.maximum(x / z_safe, -cx / fx - margin_x), (width - cx) / fx + margin_x)
     ty = torch.minimum(torch.maximum(y / z_safe, -cy / fy - margin_y), (height - cy) / fy + margin_y)
     zero = torch.zeros_like(z)
-    J = torch.stack([fx / z_safe, zero, -fx * tx / z_safe, zero, fy / z_safe, -fy * ty / z_safe], 1)
+    J = torch.stack([fx / z_safe, fx * skew / z_safe, -fx * tx / z_safe, zero, fy / z_safe, -fy * ty / z_safe], 1)
     P = J.reshape(-1, 2, 3) @ R @ rotations(p["quats"]) * p["log_scales"].exp()[:, None, :]
     covariances = P @ P.transpose(1, 2) + settings.eps2d * torch.eye(2, dtype=torch.float64)
     centres = torch.stack([fx * x / z_safe + cx, fy * y / z_safe + cy], 1)

@@ -1,22 +1,23 @@
-"""Small motions of a camera: nine numbers that turn, shift and zoom it and move its picture, and the flow of pixels
-they cause.
+"""Small motions of a camera: eleven numbers that turn, shift and zoom it and move and skew its picture, and the flow of
+pixels they cause.
 
 A motion d = (turn x, y, z in radians; shift x, y, z in units of a scene depth; logarithm of the zoom; x, y of the
-principal point in focal lengths) acts in the camera's own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom),
-c' = c + f (x, y). The last two are for cropped pictures; from afar they look like a turn.
+principal point in focal lengths; logarithm of the ratio of focal lengths; skew in focal lengths) acts in the camera's
+own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom), c' = c + f (x, y), fx' = fx exp(ratio). The principal
+point is for cropped pictures; from afar it looks like a turn. Ratio and skew are for pictures scaled unevenly, for
+photographs of a screen and, all four together, for a model that was stretched: K R A is again a K' R' (RQ).
 """
 
 import numpy as np
 
 from engine.model import Camera, Float64
-from engine.pictures.camera.config import CONFIG
 
-PARAMETERS, CENTERED, UNEVEN = 9, 7, 11
-"""Of a motion; of one that leaves the principal point where it is; and with the shape of the pixels (`pixel_shape`)."""
+PARAMETERS, SQUARE, CENTERED = 11, 9, 7
+"""Of a motion; of one that leaves the shape of the pixels as it is; and the principal point, too."""
 
 
 def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
-    """A camera after a motion (9,), whose shift is in units of `depth` (scene units)."""
+    """A camera after a motion (11,), whose shift is in units of `depth` (scene units)."""
     import cv2
 
     step = np.eye(4)
@@ -27,9 +28,10 @@ def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
     u, _, v = np.linalg.svd(viewmat[:3, :3])
     viewmat[:3, :3] = u @ v
     K = camera.K.copy()
-    K[:2, 2] += K[0, 0] * motion[7:]
-    K[0, 0] *= np.exp(motion[6])
-    K[1, 1] *= np.exp(motion[6])
+    K[:2, 2] += K[:2, :2] @ motion[CENTERED:SQUARE]
+    K[0, 1] += K[0, 0] * motion[10]
+    K[0, 0] *= np.exp(motion[9])
+    K[:2, :2] *= np.exp(motion[6])
     return Camera(viewmat, K, camera.width, camera.height)
 
 
@@ -50,8 +52,8 @@ def swung(view: Camera, middle: Float64, place: Float64, turn: float, scale: flo
 def carried(camera: Camera, matrix: Float64, width: int, height: int) -> Camera | None:
     """The camera whose picture, of this size in pixels, shows at `matrix` (3, 3) x what this camera's shows at x.
 
-    Turns, zooms and cuts of a picture are a camera's, and so are views of it from aside, but for pixels that they make
-    slant: None where these would not be `upright` (`ShapeConfig`), or where the matrix turns the picture over.
+    Turns, zooms and cuts of a picture are a camera's, and so are views of it from aside: None where the matrix turns
+    the picture over.
     """
     from scipy.linalg import rq
 
@@ -61,9 +63,6 @@ def carried(camera: Camera, matrix: Float64, width: int, height: int) -> Camera 
     K, turn = rq(seen)
     signs = np.sign(np.diagonal(K))
     K, turn = K * signs / abs(K[2, 2]), signs[:, None] * turn
-    if abs(K[0, 1] / K[1, 1]) * height > CONFIG.shape.upright:
-        return None
-    K[0, 1] = 0.0
     viewmat = np.eye(4)
     viewmat[:3, :3] = turn
     return Camera(viewmat @ camera.viewmat, K, width, height)
@@ -87,19 +86,19 @@ def normalized(points: Float64, camera: Camera) -> tuple[Float64, Float64]:
 def project(points: Float64, camera: Camera) -> Float64:
     """Pixels (P, 2) of world points (P, 3); far outside every picture (-1e9) where they lie behind the camera."""
     rays, depth = normalized(points, camera)
-    pixels = rays * np.diagonal(camera.K)[:2] + camera.K[:2, 2]
+    pixels = rays @ camera.K[:2, :2].T + camera.K[:2, 2]
     return np.where(depth[:, None] > 1e-9, pixels, -1e9)
 
 
-def point_columns(rays: Float64, depth: Float64, focal: float) -> Float64:
-    """(P, 2, 9) flow of points by each parameter of a motion, pixels, at rays (P, 2) for focal length 1 and depths (P,)
-    in units of the shift."""
+def point_columns(rays: Float64, depth: Float64, K: Float64) -> Float64:
+    """(P, 2, 11) flow of points by each parameter of a motion, pixels of intrinsics K, at rays (P, 2) for focal length
+    1 and depths (P,) in units of the shift."""
     a, b = rays.T
     near = 1.0 / depth
     zero, one = np.zeros_like(a), np.ones_like(a)
-    horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a, one, zero]
-    vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b, zero, one]
-    return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)  # (P, 2, 9)
+    horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a, one, zero, a, b]
+    vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b, zero, one, zero, zero]
+    return np.asarray(K[:2, :2] @ np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1))
 
 
 def _between(a: Float64, b: Float64) -> Float64:

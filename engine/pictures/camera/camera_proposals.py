@@ -14,9 +14,8 @@ from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of
 from engine.pictures.camera.picture_edges import PictureEdges
-from engine.pictures.camera.pixel_shape import PixelShape
 from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS
-from engine.pictures.camera.uneven_pixels import find_shape, refine_shape
+from engine.pictures.camera.uneven_pixels import find_uneven, is_square
 from engine.pictures.camera.view_points import ViewPoints
 from engine.pictures.camera.view_search import Climbed, climb, search_views
 from engine.pictures.camera.viewer_frame import find_frame
@@ -54,8 +53,9 @@ class Candidate:
 
     @property
     def settled(self) -> bool:
-        """Whether it ends the search among candidates."""
-        return self.supported and self.correlation > CONFIG.settled_correlation
+        """Whether it ends the search among candidates: pixels that are not square fit much, if not well."""
+        least = CONFIG.settled_correlation if is_square(self.camera) else CONFIG.explained_uncovered
+        return self.supported and self.correlation > least
 
 
 class Candidates:
@@ -127,16 +127,14 @@ class Candidates:
         rows, columns = frame
         return rows, slice(self._picture.size[0] - columns.stop, self._picture.size[0] - columns.start)
 
-    def shape(self, first: Candidate | None, settled: bool) -> PixelShape | None:
-        """Shape of the picture's pixels, where they are not square; `first` is what keypoints agree on if they are, and
-        its render is that of a `settled` candidate: pixels far from square leave none."""
+    def uneven(self, first: Candidate | None, settled: bool) -> Candidate | None:
+        """A camera whose pixels are not square; `first` is what keypoints agree on if they are, and its render is that
+        of a `settled` candidate: pixels far from square leave none."""
         mirrored = first is not None and first.mirrored
         start = None if first is None else first.camera
-        found = find_shape(self._matches(mirrored), start, self._focals, nearly_square=settled)
-        if found is None:
-            return None
-        shape = refine_shape(self._picture.model, self._picture.turned(mirrored), found)
-        return shape.turned_over() if shape is not None and mirrored else shape
+        found = find_uneven(self._matches(mirrored), start, self._focals, nearly_square=settled)
+        closer = None if found is None else self._closer(found.camera, mirrored)
+        return None if closer is None or is_square(closer.camera) else closer
 
     def _matches(self, mirrored: bool) -> MatchedKeypoints:
         if mirrored not in self._matched:

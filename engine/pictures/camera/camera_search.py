@@ -8,9 +8,9 @@
 2. Full size at once, for a settled candidate that nearly explains the small picture, or where the picture is blurred.
 3. A plain ground with something small on it (`find_subject`): the search begins again with that alone. Outlines are
    sought in a picture of 96 pixels, details compared in one of 320: too few for an asset that takes up a third of it.
-4. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
+4. Pixels that are not square (`uneven_pixels`), as a stretched model's are, too: a camera that has them.
 5. A page around the viewer (`viewer_frame`): the search begins again within the frame.
-6. The camera of step 2 or 5, if there is one, is the result.
+6. The camera of step 2, 4 or 5, if there is one, is the result.
 7. All other keypoint candidates. Steps 7 to 9 are left out where step 1 has explained the picture.
 8. Views of the bank that keypoints vote for (`voted_views`).
 9. Outlines, edges and colors of many views (`view_search`), and a climb from the best.
@@ -36,8 +36,8 @@ from engine.pictures.camera.camera_proposals import Candidate, Candidates
 from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.pixel_shape import PixelShape
 from engine.pictures.camera.pose_refinement import DEFAULT_SETTINGS, Refined
+from engine.pictures.camera.uneven_pixels import is_square
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
 
@@ -46,7 +46,7 @@ from engine.raster import RasterSettings
 class FoundCamera:
     """The camera of a picture."""
 
-    camera: Camera  # of what `face` makes of the picture; square pixels
+    camera: Camera  # of what `face` makes of the picture
     inliers: int  # matches that agree with the pose found from keypoints; 0 where these did not help
     rms: float  # robust standard deviation of the brightness residual, 0..1
     correlation: float  # of picture and render, -1..1
@@ -55,23 +55,17 @@ class FoundCamera:
     uncovered_correlation: float = 0.0  # of picture and render where nothing lies over the model
     mirrored: bool = False  # it is the camera of the picture turned over left to right
     settings: RasterSettings = DEFAULT_SETTINGS  # with which the render of the reference is most like it
-    shape: PixelShape | None = None  # of the picture's pixels, where these are not square
     frame: tuple[slice, slice] | None = None  # rows and columns in which that picture shows it, where not in all
 
     def face(self, image: Float32) -> Float32:
-        """The picture (h, w, 3) as this camera sees it: with square pixels, cut to its frame, turned over left to right
-        if mirrored."""
-        if self.shape is not None:
-            image = self.shape.undo(image)
+        """The picture (h, w, 3) as this camera sees it: cut to its frame, turned over left to right if mirrored."""
         if self.frame is not None:
             image = np.ascontiguousarray(image[self.frame])
         return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
     def of_whole(self, image: Float32) -> Camera:
-        """The camera of the whole picture (h, w, 3), in square pixels, turned over if mirrored."""
+        """The camera of the whole picture (h, w, 3), turned over if mirrored."""
         height, width = image.shape[:2]
-        if self.shape is not None:
-            width, height = self.shape.square_size(width, height)
         if self.frame is None:
             return self.camera
         rows, columns = self.frame
@@ -88,7 +82,7 @@ class CameraConfig:
     other_focals: tuple[float, ...] = CONFIG.other_focals  # tried where refinement from these fails, in those
     framed: bool = True  # the picture may show something else around the viewer
     parts: bool = True  # it may show a part of the model, large
-    uneven: bool = True  # it may have been scaled unevenly, or be the photograph of a screen
+    uneven: bool = True  # it may have been scaled unevenly, be the photograph of a screen, or of a stretched model
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +129,12 @@ def find_camera(
     subject = find_subject(image) if config.framed and not look.explained else None
     if subject is not None:  # 3
         return _of_subject(image, subject, config, partial(find_camera, landmarks, reference_model, far=far, bank=bank))
+    square = look
     if config.uneven and not look.explained:  # 4
-        search = partial(find_camera, landmarks, reference_model, config=replace(config, uneven=False))
-        squared = _with_square_pixels(look, candidates, image, search)
-        if squared is not None:
-            return squared
+        look = _with_uneven_pixels(look, picture, candidates)
     found = look.full
     if config.framed and not look.explained:  # 5
-        inner = replace(config, framed=False, uneven=False)
+        inner = replace(config, framed=False, uneven=look is not square)
         search = partial(find_camera, landmarks, reference_model, config=inner, far=far, bank=bank)
         found = _within_frame(look, picture, candidates, image, search)
     if found is not None:  # 6
@@ -192,7 +184,7 @@ def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCam
     found = None if near is None else _refine_to_full_size(picture, near)
     if found is None or found.correlation < min(CONFIG.settled_correlation, last.correlation):
         return None
-    return replace(found, mirrored=last.mirrored, shape=last.shape, frame=last.frame)
+    return replace(found, mirrored=last.mirrored, frame=last.frame)
 
 
 def _first_look(picture: Picture, keypoint_candidates: dict[bool, Iterator[Candidate]]) -> _FirstLook:
@@ -233,19 +225,12 @@ def _of_subject(
     return None if found is None else replace(found, frame=subject)
 
 
-def _with_square_pixels(
-    look: _FirstLook, candidates: Candidates, image: Float32, search: Callable[[Float32], FoundCamera | None]
-) -> FoundCamera | None:
-    """Step 4: what `search` finds in the picture with square pixels, or in the picture as it is, if that is better."""
-    shape = candidates.shape(look.strongest, look.best is not None and look.best.settled)
-    squared = None if shape is None else search(shape.undo(image))
-    if squared is None:
-        return None
-    # Something flat, near a wide lens, looks slanted until all of its perspective is found.
-    plain = search(image) if look.best is not None and look.best.sure else None
-    if plain is not None and squared.correlation <= plain.correlation:
-        return plain
-    return replace(squared, shape=shape)
+def _with_uneven_pixels(look: _FirstLook, picture: Picture, candidates: Candidates) -> _FirstLook:
+    """Step 4: the look at a camera with pixels that are not square, where there is one."""
+    proposed = candidates.uneven(look.strongest, look.best is not None and look.best.settled)
+    best = None if proposed is None else _best_candidate(picture, [proposed])
+    uneven = None if best is None else _refine_to_full_size(picture, best)
+    return look if uneven is None else _FirstLook(proposed, best, uneven)
 
 
 def _within_frame(
@@ -361,8 +346,8 @@ def _with_own_low_pass(
 
 def _explained(camera: Candidate | FoundCamera) -> bool:
     """Whether nothing is left for another shape of pixels, or a frame, to explain."""
-    uncovered = camera.uncovered_correlation >= CONFIG.explained_uncovered
-    return uncovered and camera.correlation >= CONFIG.explained
+    least = CONFIG.explained if is_square(camera.camera) else CONFIG.explained_uncovered
+    return camera.uncovered_correlation >= CONFIG.explained_uncovered and camera.correlation >= least
 
 
 def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera | None:
@@ -382,12 +367,12 @@ def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera 
             return None
         camera, max_error = picture.full(refined.camera), CONFIG.error_per_step * refined.step / level.side
     assert refined is not None  # there is always a last level
-    if refined.shift > CONFIG.principal_point_step:  # without its principal point a camera is wrong in all else
-        shifted = picture.refined(
-            camera, full_level, mirrored=candidate.mirrored, settings=settings, free=PARAMETERS, blur=blur
+    if refined.shift > CONFIG.free_step:  # without its principal point a camera is wrong in all else
+        freed = picture.refined(
+            camera, CONFIG.free_level, mirrored=candidate.mirrored, settings=settings, free=PARAMETERS, blur=blur
         )
-        if shifted is not None and shifted.gain > CONFIG.clearly_better * refined.gain:
-            refined = shifted
+        if freed is not None and freed.gain > CONFIG.clearly_better * refined.gain:
+            refined = freed
     other = replace(settings, antialiased=not picture.model.antialiased)
     refined, settings = _with_better_settings(
         picture,

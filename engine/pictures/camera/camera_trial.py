@@ -85,11 +85,8 @@ class Picture:
         return small, resized(gray, small.width, small.height)
 
     def full(self, camera: Camera) -> Camera:
-        """The camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
-        width, height = self.size
-        K = camera.resized(width, height).K.copy()
-        K[0, 0] = K[1, 1] = float(np.sqrt(K[0, 0] * K[1, 1]))
-        return Camera(camera.viewmat, K, width, height)
+        """The camera at the picture's size."""
+        return camera.resized(*self.size)
 
     def score(self, refined: Refined, mirrored: bool, settings: RasterSettings = DEFAULT_SETTINGS) -> float:
         """How much likelier the render makes the picture, times how well its edges are the picture's."""

@@ -54,9 +54,9 @@ class KeypointConfig:
     surroundings: float = 0.15
     soft: float = 1.5
     outline: int = 4
-    least_off_center: int = 24  # matches needed to free the principal point
+    least_freed: int = 24  # matches needed to free the principal point, and the shape of the pixels
     # Gain in inliers by error for which it is freed: uncropped pictures 0.99 to 1.02, cropped mostly above 1.1
-    off_center_gain: float = 1.1
+    freed_gain: float = 1.1
 
 
 @dataclass(frozen=True)
@@ -151,6 +151,9 @@ class RefinementConfig:
     trusted: float = 0.1  # residual that is no outlier before then: a part that does not fit yet is not given up
     least_alpha: float = 0.5  # more transparent pixels show an unknown background
     clipped: float = 0.985  # brighter pixels of the picture say nothing about position
+    damping: float = 1e-7  # of the motion, in the curvature of each of its numbers
+    # At first where all are free, by half less in each iteration: before something flat they hardly show, and run away
+    first_damping: float = 1e-3
     farthest: float = 2.0  # a motion by more radians, depths, or e-foldings of the zoom at once is wrong
     far_margin: int = 12  # pixels around the model that are no background while the camera is still off by many
     least_pixels: int = 150  # fewer usable ones cannot carry so many unknowns
@@ -173,10 +176,7 @@ class ShapeConfig:
 
     ratios: tuple[float, ...] = (0.75, 1.33)  # tried besides 1: 4:3 made of 16:9, and back; each serves others, too
     rounds: tuple[float, ...] = (3.0, 2.0, 1.0, 0.5, 0.5)  # of matching and fitting, inlier tolerances
-    upright: float = 0.02  # by which a row may be off another, pixels: what a camera is found to
-    square: float = 0.006  # a shape nearer to square is taken as square: undoing it would only blur
-    ratio_range: tuple[float, float] = (0.4, 2.5)  # a hostile picture cannot ask for more memory than this
-    most_slant: float = 1.0
+    square: float = 0.006  # a shape nearer to square is taken as square
 
 
 @dataclass(frozen=True)
@@ -232,9 +232,10 @@ class CameraSearchConfig:
     full_level: Level = Level(1600, 12, 0.005)  # or the picture's own size, if that is smaller
     full_edge: float = 0.05  # step of brightness from which an edge counts in full for a candidate's score
     error_per_step: float = 4.0  # a refined camera is off by at most so many last steps: the rest shows slowly
-    # Step of the principal point from which freeing it is tried, pixels: pictures that it explained 3 % better moved by
-    # 0.07 and more, uncropped ones mostly by up to 0.04
-    principal_point_step: float = 0.05
+    # With the principal point and the shape of the pixels free; and the step of all from which that is tried, pixels:
+    # pictures that the principal point explained 3 % better moved by 0.07 and more, uncropped ones mostly by up to 0.04
+    free_level: Level = Level(1600, 20, 0.005)
+    free_step: float = 0.05
     clearly_better: float = 1.03  # gain in likelihood to believe another way of drawing; wrong ones came to 1.02
     glance_better: float = 1.02  # the same after one iteration, which is within about 1 % of the end
     keypoints: KeypointConfig = KeypointConfig()

@@ -11,9 +11,8 @@ import numpy as np
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
 from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.detail import correlation
-from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS
+from engine.pictures.camera.camera_motion import PARAMETERS, SQUARE
 from engine.pictures.camera.config import CONFIG
-from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
 from engine.pictures.camera.pose_ransac import Hypothesis, at_other_focal, fit_camera, hypothesize
 from engine.pictures.landmarks.keypoints import Keypoints, detect_keypoints, luma
 from engine.pictures.landmarks.landmark_matching import match_landmarks, match_projected
@@ -74,20 +73,22 @@ class MatchedKeypoints:
             if fitted is None:
                 return None
             camera = fitted.camera
-        return None if fitted is None else self._off_center(fitted)
+        return None if fitted is None else self._freed(fitted)
 
-    def _off_center(self, centered: Hypothesis) -> Hypothesis:
-        """The camera of a picture of which a part was cut off, where clearly more keypoints agree with that."""
+    def _freed(self, centered: Hypothesis) -> Hypothesis:
+        """The camera of a picture of which a part was cut off, or of a model that was stretched, where clearly more
+        keypoints agree with that."""
         points, pixels = self.projected(centered.camera, 3.0 * self.tolerance)
-        if len(points) < _CONFIG.least_off_center:
+        if len(points) < _CONFIG.least_freed:
             return centered
-        fixed, freed = (
-            fit_camera(points, pixels, centered.camera, self.tolerance, free=count) for count in (CENTERED, PARAMETERS)
-        )
-        if fixed is None or freed is None:
-            return centered
-        gained = freed.support * fixed.rms >= _CONFIG.off_center_gain * fixed.support * freed.rms
-        return freed if gained else centered
+        best, least = centered, fit_camera(points, pixels, centered.camera, self.tolerance)
+        for free in (SQUARE, PARAMETERS):
+            freed = fit_camera(points, pixels, centered.camera, self.tolerance, free=free)
+            if least is None or freed is None:
+                break
+            if freed.support * least.rms >= _CONFIG.freed_gain * least.support * freed.rms:
+                best = least = freed
+        return best
 
     def at_other_focals(self, hypothesis: Hypothesis, factors: Sequence[float]) -> Iterator[Hypothesis]:
         """Cameras of other focal lengths with which the keypoints agree about as well."""
@@ -97,13 +98,9 @@ class MatchedKeypoints:
             if other is not None:
                 yield other
 
-    def projected(self, camera: Camera, radius: float, shape: PixelShape = SQUARE) -> tuple[Float64, Float64]:
-        """Landmarks (M, 3) and the keypoints (M, 2) that look like them within so many pixels of their projections;
-        `shape` is that of the picture's pixels."""
-        square = self.keypoints
-        if shape != SQUARE:
-            square = Keypoints(shape.squared(square.points), square.descriptors)
-        keypoint, landmark = match_projected(square, self.landmarks, camera, radius)
+    def projected(self, camera: Camera, radius: float) -> tuple[Float64, Float64]:
+        """Landmarks (M, 3) and the keypoints (M, 2) that look like them within so many pixels of their projections."""
+        keypoint, landmark = match_projected(self.keypoints, self.landmarks, camera, radius)
         return self.landmarks.points[landmark].astype(np.float64), self.keypoints.points[keypoint]
 
 
@@ -116,7 +113,7 @@ def match_closer(model: GaussianModel, gray: Float32, camera: Camera) -> Hypothe
     """
     found = None
     for factors in (_CONFIG.guided_far, _CONFIG.guided):  # the second from where the first ended: it is nearer
-        near = match_near(model, gray, camera, _CONFIG.least_resemblance)
+        near = match_near(model, gray, camera)
         if near is None:
             return found
         closer = near.matched.guided(near.camera, factors)
@@ -136,11 +133,11 @@ class NearRender:
     window: "Window"  # where the part lies
 
 
-def match_near(model: GaussianModel, gray: Float32, camera: Camera, least: float = -1.0) -> NearRender | None:
+def match_near(model: GaussianModel, gray: Float32, camera: Camera) -> NearRender | None:
     """The part of a picture's brightness (H, W) in which a camera sees the model, matched to a render from there; None
-    where the camera does not see the model, or picture and render correlate by less than `least`."""
+    where the camera does not see the model, or picture and render have nothing in common."""
     window = Window.around(model, camera, gray)
-    if window is None or window.resemblance < least:
+    if window is None or window.resemblance < _CONFIG.least_resemblance:
         return None
     near = window.of(camera)
     part = resized(gray[window.rows, window.columns], near.width, near.height)

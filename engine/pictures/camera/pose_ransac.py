@@ -10,9 +10,8 @@ import numpy as np
 
 from engine.kernels.jit import side_by_side
 from engine.model import Bool, Camera, Float64
-from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, UNEVEN, moved, normalized, point_columns
+from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved, normalized, point_columns
 from engine.pictures.camera.config import CONFIG
-from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
 
 POSE = 6
 """Parameters of a motion without zoom."""
@@ -20,13 +19,11 @@ POSE = 6
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A camera, which of the M matches agree with it, and the reprojection error of these, pixels; and the shape of the
-    pixels, if that was fitted."""
+    """A camera, which of the M matches agree with it, and the reprojection error of these, pixels."""
 
     camera: Camera
     inliers: Bool
     rms: float
-    shape: PixelShape = SQUARE
 
     @property
     def support(self) -> int:
@@ -91,22 +88,16 @@ def _pose(
 
 
 def fit_camera(
-    points: Float64,
-    pixels: Float64,
-    camera: Camera,
-    tolerance: float,
-    *,
-    free: int = CENTERED,
-    shape: PixelShape = SQUARE,
+    points: Float64, pixels: Float64, camera: Camera, tolerance: float, *, free: int = CENTERED
 ) -> Hypothesis | None:
     """Refine a camera by robust Levenberg-Marquardt over so many parameters of a motion, by default pose and focal
-    length, on points (M, 3) and pixels (M, 2) of this shape, which `UNEVEN` parameters include.
+    length, on points (M, 3) and pixels (M, 2).
 
     Errors far above `tolerance`, an inlier's in pixels, lose their weight. None when every point ends up behind the
     camera.
     """
     damping = 1e-3
-    cost, error, columns, weight = _linearize(points, pixels, camera, tolerance, shape)
+    cost, error, columns, weight = _linearize(points, pixels, camera, tolerance)
     for _ in range(30):
         columns = columns[..., :free]
         weighted = columns * weight[:, None, None]
@@ -120,13 +111,12 @@ def fit_camera(
             if damping > 1e6:
                 break
             continue
-        step = np.append(step, np.zeros(UNEVEN - free))
-        trial = moved(camera, step[:PARAMETERS], _median_depth(points, camera))
-        bent = PixelShape(shape.ratio + float(step[-2]), shape.slant + float(step[-1]))
-        tried = _linearize(points, pixels, trial, tolerance, bent)
+        step = np.append(step, np.zeros(PARAMETERS - free))
+        trial = moved(camera, step, _median_depth(points, camera))
+        tried = _linearize(points, pixels, trial, tolerance)
         if tried[0] < cost:
             done = cost - tried[0] < 1e-6 * cost
-            camera, shape, damping = trial, bent, max(damping / 10.0, 1e-9)
+            camera, damping = trial, max(damping / 10.0, 1e-9)
             cost, error, columns, weight = tried
             if done:
                 break
@@ -138,7 +128,7 @@ def fit_camera(
     inliers = distance < tolerance
     if not inliers.any():
         return None
-    return Hypothesis(camera, inliers, float(np.sqrt(np.mean(distance[inliers] ** 2))), shape)
+    return Hypothesis(camera, inliers, float(np.sqrt(np.mean(distance[inliers] ** 2))))
 
 
 def at_other_focal(
@@ -161,19 +151,16 @@ def _median_depth(points: Float64, camera: Camera) -> float:
 
 
 def _linearize(
-    points: Float64, pixels: Float64, camera: Camera, tolerance: float, shape: PixelShape
+    points: Float64, pixels: Float64, camera: Camera, tolerance: float
 ) -> tuple[float, Float64, Float64, Float64]:
     """Cauchy cost, errors (M, 2), columns (M, 2, 11), weights (M,); points behind the camera weigh nothing."""
     rays, depth = normalized(points, camera)
     front = depth > 1e-9
     depth = np.where(front, depth, 1.0)
     rays = np.where(front[:, None], rays, 0.0)
-    focal = camera.K[0, 0]
-    square = focal * rays + camera.K[:2, 2]
-    error = np.where(front[:, None], pixels - square @ shape.matrix.T, 1e3 * tolerance)
+    shown = rays @ camera.K[:2, :2].T + camera.K[:2, 2]
+    error = np.where(front[:, None], pixels - shown, 1e3 * tolerance)
     distance = np.sum(error**2, axis=1) / tolerance**2
     weight = np.where(front, 1.0 / (1.0 + distance), 0.0)
-    columns = np.zeros((len(points), 2, UNEVEN))
-    columns[..., :PARAMETERS] = shape.matrix @ point_columns(rays, depth / _median_depth(points, camera), focal)
-    columns[:, 0, PARAMETERS:] = square
+    columns = point_columns(rays, depth / _median_depth(points, camera), camera.K)
     return float(np.log1p(distance).sum()), error, columns, weight

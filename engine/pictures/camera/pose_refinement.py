@@ -56,7 +56,7 @@ class Refined:
     detail: float  # correlation there of the details that opacity does not explain (`compare_detail`)
     detail_z: float  # the same in standard deviations of chance on so many pixels
     step: float  # root mean square flow of the last motion, pixels of the level
-    shift: float  # root mean square flow of a motion with the principal point free, pixels of the level
+    shift: float  # root mean square flow of a motion with all parameters free, pixels of the level
     pixels: int  # used
 
     @property
@@ -77,23 +77,25 @@ class Refined:
 
 
 @parallel_kernel
-def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, room, rows, flows, call):
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, K, spread, room, rows, flows, call):
     """Adds up each row of pixels in `rows` and `flows`, which hold zeros; `room` is scratch."""
     height, width = base.shape
     column, u, v = room[call[0], 0], room[call[0], 1], room[call[0], 2]
-    for k in range(PARAMETERS):
-        u[k], v[k] = np.float64(k == 7), np.float64(k == 8)
+    fx, skew, fy = K[0, 0], K[0, 1], K[1, 1]
     for j in share_of(height, call):
-        b = (j + 0.5 - cy) / focal
+        b = (j + 0.5 - K[1, 2]) / fy
         for i in range(width):
             if weight[j, i] <= 0.0:
                 continue
-            a = (i + 0.5 - cx) / focal
+            a = (i + 0.5 - K[0, 2] - skew * b) / fx
             near = 1.0 / depth[j, i]
             u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
             v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
+            u[7], u[8], u[9], u[10] = 1.0, 0.0, a, b
+            v[7], v[8], v[9], v[10] = 0.0, 1.0, 0.0, 0.0
             for k in range(PARAMETERS):
-                column[k] = -focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
+                u[k], v[k] = fx * u[k] + skew * v[k], fy * v[k]
+                column[k] = -(gx[j, i] * u[k] + gy[j, i] * v[k])
             column[PARAMETERS] = base[j, i]
             column[PARAMETERS + 1] = cover[j, i]
             r = residual[j, i]
@@ -104,7 +106,7 @@ def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, c
                 rows[j, k, PARAMETERS + 2] += w * column[k] * r
             for k in range(PARAMETERS):
                 for l in range(k, PARAMETERS):
-                    flows[j, k, l] += weight[j, i] * focal * focal * (u[k] * u[l] + v[k] * v[l])
+                    flows[j, k, l] += weight[j, i] * (u[k] * u[l] + v[k] * v[l])
 
 
 def refine_level(
@@ -123,8 +125,8 @@ def refine_level(
 
     `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
     the motion's root mean square flow is below `tolerance` pixels. `drawing` tells how renders are made; so many
-    parameters of the motion are `free`, by default all but the principal point. A camera known to be off by at most
-    `max_error` pixels is spared the wider blurs.
+    parameters of the motion are `free`, by default all but the principal point and the shape of the pixels. A camera
+    known to be off by at most `max_error` pixels is spared the wider blurs.
     """
     gain, offset, step, width = 1.0, 0.0, max_error, 2.0 * min(max_error, _CONFIG.widest_blur)
     memory = Acceleration()
@@ -161,16 +163,15 @@ def refine_level(
             np.ascontiguousarray(gy),
             np.where(used, depth / np.float32(unit), np.float32(1.0)),
             weight,
-            camera.K[0, 0],
-            camera.K[0, 2],
-            camera.K[1, 2],
+            camera.K,
             outlying,
             np.empty((thread_count(), 3, _UNKNOWNS)),
             rows,
             flows,
         )
         system = rows.sum(axis=0)
-        motion, brightness = _solve(system, free)
+        damping = max(_CONFIG.damping, _CONFIG.first_damping * 0.5**iteration if free > CENTERED else 0.0)
+        motion, brightness = _solve(system, free, damping)
         flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
@@ -182,7 +183,7 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and width == _CONFIG.blur:
             break
-    freed = _solve(system, PARAMETERS)[0]
+    freed = _solve(system, PARAMETERS, _CONFIG.damping)[0]
     shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
     clear = uncovered(residual, used, spread)
     detail = compare_detail(toned, seen, cover, clear, camera)
@@ -248,15 +249,15 @@ def _symmetric(upper: Float64) -> Float64:
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
-def _solve(system: Float64, free: int) -> tuple[Float64, Float64]:
-    """Motion (9,), zero beyond so many parameters, and change of gain and offset (2,) from the summed upper triangle
+def _solve(system: Float64, free: int, damping: float) -> tuple[Float64, Float64]:
+    """Motion (11,), zero beyond so many parameters, and change of gain and offset (2,) from the summed upper triangle
     and right side."""
     unknowns = np.r_[:free, PARAMETERS:_UNKNOWNS]
     normal = _symmetric(system[:, :_UNKNOWNS])[np.ix_(unknowns, unknowns)]
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
     # Distance and focal length are nearly one number in a view from afar: the damping keeps what the picture
     # cannot tell where it was.
-    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(len(unknowns))
+    damped = normal * scale[:, None] * scale + damping * np.eye(len(unknowns))
     solution = np.zeros(_UNKNOWNS)
     solution[unknowns] = scale * np.linalg.solve(damped, scale * system[unknowns, _UNKNOWNS])
     return solution[:PARAMETERS], solution[PARAMETERS:]
