@@ -335,14 +335,15 @@ def _readers(
     def as_coded(known: Float32) -> Float32:
         return known if through is None else np.clip(known + through, 0.0, 1.0)  # the coder saw both
 
-    def exposed_as_coded(known: Float32) -> Float32:
-        return as_coded(match_exposure(known, own, mask))
-
     grid, chroma = find_grid(warped), None
     if grid is not None:
         pattern = _public_pattern(layout, view)
         pattern = grid.part(pattern if blur is None else blur.apply(pattern))
         chroma = CodedChroma.of(grid.part(warped), grid.part(mask), pattern, grid.quality)
+
+        def exposed_as_coded(known: Float32) -> Float32:
+            return as_coded(match_exposure(known, own, mask, grid.quality))
+
         coded = exposed_as_coded(reference)
         agreed = agreement(grid.part(coded), grid.part(warped), grid.part(mask), grid.quality)
         if agreed >= JPEG.own_agreement:

@@ -125,6 +125,15 @@ def test_a_blur_far_wider_than_those_that_are_read_is_left() -> None:
     assert find_blur(luma(sharp), SOLID, seen) is None
 
 
+def test_a_kernel_that_turns_out_far_wider_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between pictures of two scenes so free a kernel explains much: one, off a screen, was recognized."""
+    sharp = luma(picture(3, SIDE))
+    monkeypatch.setattr("engine.pictures.alignment.blur._first_look", lambda *_: np.diag([35.0, 1.0]))
+    for length, there in ((15, True), (31, False)):
+        seen = ndimage.uniform_filter1d(sharp, length, axis=1)
+        assert (find_blur(sharp, SOLID, seen) is not None) is there
+
+
 def test_another_picture_has_none() -> None:
     assert find_blur(luma(picture(3, SIDE)), SOLID, luma(blurred(picture(4, SIDE), spot(2.0)))) is None
 

@@ -5,6 +5,7 @@ import pytest
 from scipy import integrate, ndimage
 from scipy.stats import norm
 
+from engine.model import GaussianModel
 from engine.pictures.jpeg.coded_blocks import (
     LUMA,
     _truncated_mean,
@@ -12,9 +13,12 @@ from engine.pictures.jpeg.coded_blocks import (
     block_spread,
     find_quality,
     jpeg_cotangent,
+    match_exposure,
 )
+from engine.raster import render
 from tests.pictures.image_cases import coarse_picture as picture
 from tests.pictures.image_cases import saved as save
+from tests.pictures.plant_views import around, jpeg
 
 
 def test_truncated_mean_against_the_integral() -> None:
@@ -100,3 +104,13 @@ def test_agreement_falls_with_a_tenth_of_a_pixel() -> None:
     assert found[0] > 0.97
     assert found[0] > found[1] + 0.01 > found[2] + 0.03
     assert agreement(base, suspect, ~everywhere, 20) == 0.0
+
+
+def test_chroma_that_a_coarse_coder_emptied_is_no_exposure(plant: GaussianModel) -> None:
+    """Quality 10 takes up to 3 % of a channel's contrast and shifts it by 0.02; a picture that is tinted so is told."""
+    image = np.clip(render(plant, around(plant, 40.0, 20.0, 2.0, 1.1)), 0.0, 1.0)
+    seen = np.ones(image.shape[:2], dtype=bool)
+    np.testing.assert_array_equal(match_exposure(image, jpeg(image, 10), seen, 10), image)
+    tinted = image * np.float32([1.0, 0.9, 0.8])
+    off = np.abs(match_exposure(image, jpeg(tinted, 30), seen, 30) - tinted).mean()
+    assert off < 0.3 * np.abs(image - tinted).mean()

@@ -31,6 +31,7 @@ from engine.formats import encode_model
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.image_metrics import psnr
+from engine.pictures.jpeg.coded_blocks import as_jpeg
 from engine.raster import Rendering, draw, render
 from engine.watermark.config import CONFIG as WATERMARK
 from engine.watermark.image_evidence import layer_evidence
@@ -92,22 +93,12 @@ class Rehearsing:
             if held_out_db < least_db:
                 return Rehearsal(0.0, held_out_db, 0.0)
             if self._survive != "model":
-                coded.append(read(drawn, plain, camera, _compressed(picture)))
+                coded.append(read(drawn, plain, camera, as_jpeg(picture, _REHEARSAL.quality)))
                 self.seconds.append(time.perf_counter() - began)
             if self._survive == "worst":
                 noisy.append(read(drawn, plain, camera, _noisy(picture)))
         usual = float(np.mean(coded)) if coded else 0.0
         return Rehearsal(min(coded + noisy) if noisy else usual, held_out_db, usual)
-
-
-def _compressed(picture: Float32) -> Float32:
-    """The picture after JPEG."""
-    import cv2
-
-    stored = np.round(picture[..., ::-1] * 255.0).astype(np.uint8)
-    coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _REHEARSAL.quality])[1]
-    decoded = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.float32)
-    return decoded[..., ::-1] / np.float32(255.0)
 
 
 def _noisy(picture: Float32) -> Float32:

@@ -179,7 +179,7 @@ def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: Rast
 def _agreement(own: _Laid, image: Float32, grid: JpegGrid) -> float:
     through = np.float32(0.0) if own.behind is None else own.behind.through
     mask = own.alignment.mask
-    exposed = np.clip(match_exposure(own.view.plain, image - through, mask) + through, 0.0, 1.0)
+    exposed = np.clip(match_exposure(own.view.plain, image - through, mask, grid.quality) + through, 0.0, 1.0)
     return agreement(grid.part(exposed), grid.part(image), grid.part(mask), grid.quality)
 
 

@@ -127,7 +127,8 @@ def _fit(sharp: Float32, seen: Float32, usable: Bool, support: Bool) -> Blur | N
         return None
     kernel = np.zeros(support.shape, dtype=np.float32)
     kernel[support] = solution[:-1] / total
-    return Blur(kernel)
+    blur = Blur(kernel)
+    return blur if blur.widths[0] <= _CONFIG.widest else None  # so free a kernel makes many a picture alike
 
 
 def _steepest(energy: Float32, usable: Bool) -> npt.NDArray[np.intp]:

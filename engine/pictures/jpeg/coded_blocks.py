@@ -256,17 +256,40 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
     return np.asarray(start + np.round((observed - transform(decoded)) / steps))
 
 
-def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
-    """The reference in the picture's colours, where these are not its own.
+def as_jpeg(picture: Float32, quality: int) -> Float32:
+    """A picture (H, W, 3), clipped to 0..1, as a JPEG of it is decoded."""
+    import cv2
 
-    Gain and offset of each channel tell whether they are; tone and light are fitted in full only where that explains
-    clearly more. All on block means: compression takes contrast from single pixels, which is no exposure, but a
-    tone curve would bend to it.
+    stored = np.round(np.clip(picture[..., ::-1], 0.0, 1.0) * 255.0).astype(np.uint8)
+    coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    decoded = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.float32)
+    return decoded[..., ::-1] / np.float32(255.0)
+
+
+def match_exposure(reference: Float32, picture: Float32, mask: Bool, quality: int) -> Float32:
+    """The reference in the colours of a picture that was coded at this quality, where these are not its own.
+
+    Gain and offset of each channel tell whether they are, also against the reference coded alike: a coarse coder rounds
+    little chroma to none, which is no exposure. Tone and light are fitted in full only where that explains clearly
+    more. All on block means: compression takes contrast from single pixels, too, and a tone curve would bend to it.
     """
     use = unclipped(picture) & tiles(mask).all(axis=(2, 3))
     if use.sum() < 50:
         return reference
-    out = reference.copy()
+    out = np.clip(reference, 0.0, 1.0)
+    changes = _exposure(reference, picture, use)
+    if not changes or not _exposure(as_jpeg(reference, quality), picture, use):
+        return out
+    for c, (gain, offset) in changes.items():
+        out[..., c] = np.clip(gain * reference[..., c] + offset, 0.0, 1.0)
+    full = fit_colors(reference, picture, mask).predicted
+    missed, left = (_missed(image, picture, use) for image in (out, full))
+    return full if left < CONFIG.better * missed else out
+
+
+def _exposure(reference: Float32, picture: Float32, use: Bool) -> dict[int, tuple[float, float]]:
+    """Gain and offset of each channel that has clearly changed."""
+    changes = dict[int, tuple[float, float]]()
     for c in range(3):
         x, y = (_block_means(image[..., c])[use] for image in (reference, picture))
         gain, offset = 1.0, 0.0
@@ -278,13 +301,8 @@ def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
         changed = abs(gain - 1.0) > 0.03 or abs(offset) > 0.012
         sane = 0.2 < gain < 5.0 and abs(offset) < 0.3  # too flat a picture fits any line
         if changed and sane:
-            out[..., c] = gain * reference[..., c] + offset
-    out = np.clip(out, 0.0, 1.0)
-    if np.array_equal(out, np.clip(reference, 0.0, 1.0)):
-        return out
-    full = fit_colors(reference, picture, mask).predicted
-    missed, left = (_missed(image, picture, use) for image in (out, full))
-    return full if left < CONFIG.better * missed else out
+            changes[c] = gain, offset
+    return changes
 
 
 def _missed(predicted: Float32, picture: Float32, use: Bool) -> float:
