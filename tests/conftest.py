@@ -14,6 +14,7 @@ from engine.model import GaussianModel
 TESTS = Path(__file__).parent
 OF_ONE_ROOM = {
     "catalogue": "catalogue",
+    "flows": "merged_models bent_pictures blurred_pictures changed_colors",
     "formats": "usd gltf_hostile oracles every_pair",
     "kernels": "native_check machine_code kernel_cache",
     "pictures": "cropped_cameras uneven_pixels blur view_climb plain_ground residual light_and_tone local_alignment "
