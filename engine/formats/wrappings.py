@@ -52,7 +52,7 @@ def _model_in(data: bytes, file: str) -> tuple[str, ZipArchive | None]:
     """The only model in a zip archive, by its name; no archive where there is none, or the archive is the model."""
     try:
         archive = ZipArchive(data, file=file) if data.startswith(b"PK") else None
-    except FormatError:  # whoever reads it says what is wrong
+    except FormatError:  # the reader of that format reports what is wrong with it
         archive = None
     names = archive.names if archive else []
     found = [name for name in names if name.lower().endswith(_MODELS) and not _is_hidden(name)]

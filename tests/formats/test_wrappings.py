@@ -7,6 +7,7 @@ import io
 import json
 import tempfile
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from engine.scenes.scene_files import read_suspect
 from tests.formats.damage import little_memory
 from tests.formats.gltf_files import asset_of, glb_of, splats
 from tests.formats.models import assert_same, random_model
-from tests.formats.sog_scenes import unbundle
+from tests.formats.sog_scenes import bundle, unbundle
 from tests.formats.spz_scenes import as_version_4
 
 MODEL = random_model(1, 300)
@@ -29,12 +30,7 @@ KINDS = ("ply", "compressed.ply", "splat", "spz", "sog", "glb")
 JUNK = {"Scan/": b"", "Scan/read me.txt": b"a scan", "__MACOSX/Scan/._scène.ply": b"\0\5\x16\7", "Scan/.a.ply": b"ply"}
 
 
-def zip_of(parts: dict[str, bytes], how: int = zipfile.ZIP_DEFLATED) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", how) as archive:
-        for name, part in parts.items():
-            archive.writestr(name, part)
-    return file.getvalue()
+zip_of = partial(bundle, compression=zipfile.ZIP_DEFLATED)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -116,7 +112,7 @@ def test_what_is_wrong_inside_is_said_of_it() -> None:
     with pytest.raises(FormatError, match="damaged gzip stream"):
         read_model(gzip.compress(encode_model(MODEL, "ply"))[:-9])
     with pytest.raises(FormatError, match="encrypted, or neither stored nor deflated: unpack the archive"):
-        read_model(zip_of({"a.ply": encode_model(MODEL, "ply")}, zipfile.ZIP_LZMA))
+        read_model(bundle({"a.ply": encode_model(MODEL, "ply")}, zipfile.ZIP_LZMA))
 
 
 @pytest.mark.parametrize("wrap", [gzip.compress, lambda data: zip_of({"a.ply": data})])

@@ -107,7 +107,7 @@ def test_agreement_falls_with_a_tenth_of_a_pixel() -> None:
 
 
 def test_chroma_that_a_coarse_coder_emptied_is_no_exposure(plant: GaussianModel) -> None:
-    """Quality 10 takes up to 3 % of a channel's contrast and shifts it by 0.02; a picture that is tinted so is told."""
+    """JPEG quality 10 changes a channel's gain by up to 3 % and its offset by 0.02; a real tint is still corrected."""
     image = np.clip(render(plant, around(plant, 40.0, 20.0, 2.0, 1.1)), 0.0, 1.0)
     seen = np.ones(image.shape[:2], dtype=bool)
     np.testing.assert_array_equal(match_exposure(image, jpeg(image, 10), seen, 10), image)

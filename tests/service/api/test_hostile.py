@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import gzip
-import io
 import os
 import struct
 import time
 import zipfile
+from functools import partial
 
 import pytest
 
+from tests.formats.sog_scenes import bundle
 from tests.service.api.conftest import Api
 
 HEADER = b"ply\nformat binary_little_endian 1.0\n"
 XYZ = b"property float x\nproperty float y\nproperty float z\n"
 
 
-def _zip(entries: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", compression) as archive:
-        for name, data in entries.items():
-            archive.writestr(name, data)
-    return file.getvalue()
-
-
+_zip = partial(bundle, compression=zipfile.ZIP_DEFLATED)
 SPZ_BOMB = gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 3, 10, 3, 12, 0, 0) + bytes(200 << 20), 1)
 CASES = {
     "empty ply": b"ply\n",
