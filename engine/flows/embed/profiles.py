@@ -91,7 +91,7 @@ class EmbedConfig:
     def to_json(self) -> Json:
         """As a record holds it: what the paper does is named where it is done, and recovery where something goes."""
         plain = asdict(self)
-        if not self.thins:
+        if self.keeps_rows:
             del plain["prune"]["recover"]
         if self.paper == PaperConfig():
             del plain["paper"]
