@@ -98,8 +98,9 @@ def test_it_ends_where_a_step_gains_next_to_nothing(monkeypatch: pytest.MonkeyPa
     assert len(seen) == 1
 
 
-def test_clamped_colors_and_what_hardly_shows_stay() -> None:
+def test_clamped_colors_and_what_hardly_shows_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """A code of black Gaussians, which no gradient may move, one of Gaussians without opacity, one of faint ones."""
+    monkeypatch.setattr(code_fit, "_CONFIG", replace(CONFIG.code_fit, prior=0.5))
     model, labels = ball_model(300, 0), (np.arange(300) % 30).astype(np.int32)
     logits, sh = model.opacity_logits.copy(), model.sh.reshape(300, 3).copy()
     sh[labels == 7] = -9.0
