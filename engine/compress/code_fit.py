@@ -69,7 +69,7 @@ class _Renders:
             view, basis = prepare_view(model, camera), seen_harmonics(model, camera, model.sh_degree)
             colors = np.einsum("nk,nkc->nc", basis, sh) + np.float32(0.5)
             self._lit.append(colors > 0.0)
-            gap = wanted - np.clip(view.render(np.maximum(colors, np.float32(0.0)))[0], 0.0, 1.0)
+            gap = wanted.astype(np.float32) - np.clip(view.render(np.maximum(colors, np.float32(0.0)))[0], 0.0, 1.0)
             error += float(np.square(gap, dtype=np.float64).sum())
             squares[:, 0] += view.weights()[1]
             total += basis[:, :, None] * (view.backward_colors(gap) * self._lit[-1])[:, None]
