@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from engine.present.wording import named_copy
+from service.claims.annex import annex_html
 from service.claims.document import Summary, document_words, summary_of
 from service.claims.pack import make_pack, shown_in_pack
 from service.claims.report import report_html
@@ -118,6 +119,17 @@ def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     return report_page(core, visible(core, caller, claims, claim_id))
 
 
+@router.get(
+    "/v1/claims/{claim_id}/annex", operation_id="getAnnex", response_class=Response, responses={**PAGE, **OF_OWN}
+)
+def get_annex(claim_id: str, core: Core, caller: Follower) -> Response:
+    """How often the method errs, as one page beside the report: what was tested, error rates, known limits. Not signed.
+
+    Its numbers are of the service's version; where another version made the claim, the page says so.
+    """
+    return annex_page(visible(core, caller, claims, claim_id))
+
+
 @packs.get(
     "/v1/claims/{claim_id}/pack",
     operation_id="getPack",
@@ -147,6 +159,11 @@ def report_page(service: Service, row: Any) -> Response:
     """The claim as one page."""
     pictures = {name: service.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
+
+
+def annex_page(row: Any) -> Response:
+    """What is known of the errors of the method that made a claim, as one page."""
+    return Response(annex_html(json.loads(row.document)), media_type="text/html")
 
 
 def pack_file(service: Service, row: Any, given: OwnerStatement) -> Response:

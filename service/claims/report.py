@@ -53,7 +53,7 @@ def report_html(
 ) -> str:
     """One self-contained HTML page; pictures: PNG bytes, as `document["pictures"]` names them; timestamp: RFC 3161."""
     words, captions, reading = document_words(document), captions_of(document), document_reading(document)
-    return _template().render(
+    return template("report.html").render(
         claim=document,
         words=words,
         facts=[fact for fact in words.facts if fact.leading],
@@ -144,7 +144,8 @@ def _pretty(document: Mapping[str, Any]) -> str:
 
 
 @cache
-def _template() -> Template:
+def template(name: str) -> Template:
+    """A page of this folder."""
     environment = templates(Path(__file__).parent)
     environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when)
-    return environment.get_template("report.html")
+    return environment.get_template(name)

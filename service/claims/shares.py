@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.claims.endpoints import ZIP, SignedClaim, pack_file, packs, report_page, signed
+from service.claims.endpoints import ZIP, SignedClaim, annex_page, pack_file, packs, report_page, signed
 from service.claims.pack import shown_in_pack
 from service.claims.schema import OwnerStatement
 from service.clock import now
@@ -120,6 +120,17 @@ def revoke_share(share_id: str, core: Core, caller: Verifier) -> None:
 def shared_report(token: str, core: Core) -> Response:
     """The report, for anyone with its address."""
     return report_page(core, shared(core.db, token))
+
+
+@router.get(
+    "/shared/{token}/annex",
+    operation_id="sharedAnnex",
+    response_class=Response,
+    responses={**PAGE, **responses("not-found")},
+)
+def shared_annex(token: str, core: Core) -> Response:
+    """How often the method errs, for anyone with the address of the report."""
+    return annex_page(shared(core.db, token))
 
 
 @router.get("/shared/{token}/claim.json", operation_id="sharedClaim", responses=responses("not-found"))

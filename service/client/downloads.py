@@ -42,6 +42,10 @@ class Client(Calls):
         """Fetch a claim as one page (HTML) to a file."""
         return self._fetch(address("claims", claim_id, "report"), target, {}, silent)
 
+    def annex(self, claim_id: str, target: Target) -> Path:
+        """Fetch how often the method errs, as one page (HTML) beside the report, to a file."""
+        return self._fetch(address("claims", claim_id, "annex"), target, {}, silent)
+
     def jws(self, claim_id: str, target: Target) -> Path:
         """Fetch the signed claim alone to a file, for `mark3dgs verify-report` and third parties."""
         return self._fetch(address("claims", f"{claim_id}.jws"), target, {}, silent)
