@@ -26,7 +26,7 @@ class Client(Calls):
         asset_id: str,
         target: Target,
         *,
-        format: Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"] | None = None,
+        format: Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb", "usdc", "usdz"] | None = None,
         version: Literal["marked", "original"] = "marked",
         progress: Progress = silent,
     ) -> Path:
