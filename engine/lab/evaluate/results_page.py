@@ -113,13 +113,16 @@ def _read(path: Path) -> Result:
 
 
 def error_rates(results: Mapping[str, Result]) -> str:
-    """Results that say what was tested, by their files' names, with their bars on errors of claims: JSON."""
-    shown = {name: result for name, result in results.items() if result.tested}
-    plain = {
-        name: asdict(result) | {"bars": [asdict(bar) for bar in result.bars if bar.rate]}
-        for name, result in shown.items()
-    }
-    return json.dumps(plain, indent=1, ensure_ascii=False) + "\n"
+    """Results that say what was tested, by their files' names, with their bars on errors of claims: a line each."""
+    lines = []
+    for name, result in results.items():
+        if result.tested:
+            bars = [asdict(bar) for bar in result.bars if bar.rate]
+            shown = {
+                field: getattr(result, field) for field in ("what", "tested", "command", "commit", "columns", "rows")
+            }
+            lines.append(f"{json.dumps(name)}: {json.dumps(shown | {'bars': bars}, ensure_ascii=False)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def draw_page(results: Mapping[str, Result]) -> str:
