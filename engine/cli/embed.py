@@ -81,7 +81,7 @@ def embed(
     ] = None,
     copy: Annotated[
         list[str] | None,
-        typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own. Repeatable, see below."),
+        typer.Option("--copy", metavar="NAME", help="Recipient, whom trace names. Repeatable, see below."),
     ] = None,
     earlier: Annotated[
         Path | None,
@@ -127,9 +127,9 @@ def embed(
         --record initech.record --earlier acme.record
 
     With --tsa a part of the watermark follows from a time stamp, so that records
-    cannot be tried out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
-    where verify gets that service's certificate (--tsa-certificates). Only a
-    digest is sent. Each run draws another watermark: mark further copies with
+    can hardly be tried out: a claim then counts 2^20 requests to that service
+    and needs 1 in 10^9 instead of 1 in 2^128, where verify gets the service's
+    certificate (--tsa-certificates). Only a digest is sent. Each run draws another watermark: mark further copies with
     --earlier, or comparing the files reveals both.
     """
     console = Console(json)

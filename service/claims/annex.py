@@ -11,6 +11,7 @@ from typing import Any
 
 from engine.present.numerals import TYPOGRAPHIC
 from engine.records.header import FORMAT_VERSION
+from engine.watermark.rates import DRAWS
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, z_threshold
 from service.claims.report import template
 
@@ -25,6 +26,6 @@ def annex_html(document: Mapping[str, Any]) -> str:
         rates=json.loads(_RATES.read_text(encoding="utf-8")),
         version=version("mark3dgs"),
         record_format=FORMAT_VERSION,
-        chance=z_threshold(CHANCE_RATE, 1),
+        chance=z_threshold(CHANCE_RATE, DRAWS),
         search=z_threshold(DISHONEST_CLAIMANT_RATE, 1),
     )

@@ -143,9 +143,14 @@ def _pretty(document: Mapping[str, Any]) -> str:
     return re.sub(r"\[[\s\d.,eE+-]+\]", lambda found: " ".join(found[0].split()), text)
 
 
+def _plain(markdown: str) -> str:
+    """A sentence without the signs of code and links."""
+    return re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", markdown).replace("`", "")
+
+
 @cache
 def template(name: str) -> Template:
     """A page of this folder."""
     environment = templates(Path(__file__).parent)
-    environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when)
+    environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when, plain=_plain)
     return environment.get_template(name)

@@ -25,8 +25,8 @@ service/claims/error_rates.json` from the files in [results](results); edit thos
 [history](history), the paper's numbers next to ours in [PAPER.md](PAPER.md).
 
 Detection is **informed** throughout: it uses the owner's record, which holds the unmarked original. Blind methods solve
-a harder problem. z is the detection score: a claim needs z 6.7 at 1 in 10^9 and z 13.6 at 1 in 2^128, or a little more
-where more hypotheses are tested (z 8.5 at 1 in 10^9 where a time-stamping service drew). Scenes are captures of 90,000
+a harder problem. z is the detection score: a claim needs z 13.6 at 1 in 2^128 and, where a time-stamping
+service drew, z 8.5 at 1 in 10^9; a little more where more hypotheses are tested. Scenes are captures of 90,000
 to 524,000 Gaussians; the plant alone ships here. Where a result says "script not kept", no command of this repository
 repeats it. Results of commits before c8649895 were measured with records of format 2, before copies shared a layer,
 unless they name format 3.

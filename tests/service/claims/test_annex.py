@@ -15,6 +15,7 @@ from engine.lab.evaluate.intervals import share_interval
 from engine.lab.evaluate.results_page import error_rates, read_results
 from service.claims import annex
 from service.claims.annex import annex_html
+from service.claims.report import _plain
 from tests.service.claims.cases import KINDS, nothing, reply
 from tests.service.claims.conftest import Registry
 
@@ -41,7 +42,7 @@ def test_every_measured_error_rate_is_shown(registry: Registry) -> None:
     for result in shown:
         rates = [bar for bar in result.bars if bar.rate]
         for text in (result.tested, result.commit, result.command, *(bar.measured for bar in rates)):
-            assert text.replace("`", "") in page
+            assert _plain(text) in page
         assert page.count("Not met: ") == sum(not bar.met for each in shown for bar in each.bars if bar.rate)
 
 
@@ -58,6 +59,7 @@ def test_the_claims_own_score_and_limits_are_on_it(registry: Registry) -> None:
     assert f"hypotheses tested: {document['tries']:,}; bound: below 10⁻³⁰⁰" in page
     assert f"z {document['evidence'][0]['z']:.1f}, required {document['threshold']['z']:.1f}" in page
     assert document["meaning"]["does_not_say"] in page
+    assert not re.search(r"`|\]\(", page), "its numbers come out of Markdown"
     assert "has no score" in words(annex_html(registry.issue(nothing(), "job_2").document))
 
 
