@@ -85,8 +85,9 @@ class CudaView:
         """(N, 3) gradient of the image by the colours, for (H, W, 3) dL/dimage."""
         import torch
 
-        colors = torch.zeros_like(self._geometry[0], requires_grad=True)
-        (found,) = torch.autograd.grad(self._draw(colors)[0], colors, _tensor(cotangent))
+        with torch.enable_grad():  # a refinement calls from inside an operation of torch
+            colors = torch.zeros_like(self._geometry[0], requires_grad=True)
+            (found,) = torch.autograd.grad(self._draw(colors)[0], colors, _tensor(cotangent))
         return np.asarray(found.cpu().numpy())
 
     def gradients(self, colors: Float32, cotangent: Callable[[Float32], Float32], out: Gradients) -> None:

@@ -124,9 +124,12 @@ def test_what_gsplat_says_does_not_get_into_an_answer(
 ) -> None:
     """It prints that it compiles; stdout may be JSON."""
     drawing = gsplat.rasterization
-    monkeypatch.setattr(
-        gsplat, "rasterization", lambda *args, **options: (print("compiling"), drawing(*args, **options))[1]
-    )
+
+    def compiling(*args: Any, **options: Any) -> Any:
+        sys.stdout.write("compiling\n")
+        return drawing(*args, **options)
+
+    monkeypatch.setattr(gsplat, "rasterization", compiling)
     assert missing() is None
     assert capsys.readouterr() == ("", "compiling\n")
 
