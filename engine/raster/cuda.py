@@ -102,8 +102,10 @@ class CudaView:
             getattr(out, name)[:] = gradient.cpu().numpy()
 
     def _draw(self, colors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        lens, size = (_tensor(self._camera.viewmat), _tensor(self._camera.K)), (self._camera.width, self._camera.height)
-        return rasterize(*self._geometry, *lens, *size, None, colors, 0.0, RasterSettings())
+        means, quats, log_scales, opacity_logits = self._geometry
+        viewmat, K = _tensor(self._camera.viewmat), _tensor(self._camera.K)
+        model, lens = (means, quats, log_scales, opacity_logits), (viewmat, K)
+        return rasterize(*model, *lens, self._camera.width, self._camera.height, None, colors, 0.0, RasterSettings())
 
 
 def _tensor(array: npt.ArrayLike) -> torch.Tensor:

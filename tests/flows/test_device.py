@@ -81,7 +81,8 @@ def test_a_record_says_that_a_gpu_fitted_and_no_copy_is_made_from_it_alone(gspla
             marked(whole, config, "b", earlier=made.record)
     by_cpu = marked(whole, PRUNED)
     assert "device" not in by_cpu.record.extra["settings"]
-    assert made.report.psnr_pruned_worst_view == pytest.approx(by_cpu.report.psnr_pruned_worst_view, abs=0.1)
+    assert len(made.model) == pytest.approx(len(by_cpu.model), rel=0.05)
+    assert made.report["psnr_pruned_worst_view"] == pytest.approx(by_cpu.report["psnr_pruned_worst_view"], abs=0.5)
     with pytest.raises(InputError, match="copy 'a' and a further one"):
         marked(whole, ON_GPU, "b", earlier=by_cpu.record)
     later = marked(whole, PRUNED, "b", earlier=by_cpu.record)
