@@ -45,6 +45,7 @@ PICTURES = 3
 """Of the unseen views, kept as JPEG 10 and read."""
 JPEG_10 = Trial("picture, JPEG 10", (("jpeg", 10),), "", "image")
 FIELDS = (
+    "device",
     "gaussians_out",
     "psnr_worst_view",
     "ssim_worst_view",
@@ -54,21 +55,21 @@ FIELDS = (
 )
 
 
-def measure_budgets(scene: str, seed: int, profile: str) -> list[Row]:
+def measure_budgets(scene: str, seed: int, profile: str, device: str) -> list[Row]:
     """The whole model, and every pruning budget without and with recovery: what is left, what it costs, and what views
     show that neither the key nor the fit knows."""
-    plain, rows = named_profile(profile, landmark_views=0), []
+    plain, rows = named_profile(profile, landmark_views=0, device=device), []
     cases = [(None, False), *((db, recover) for db in BUDGETS_DB for recover in (False, True))]
     for budget, recover in cases:
-        began = time.process_time()
+        began, at = time.process_time(), time.perf_counter()
         prune = PruneConfig(budget_db=budget, recover=recover)
         made = mark_scene(scene, replace(plain, prune=prune), seed=seed)
-        seconds = time.process_time() - began
+        seconds = {"cpu_seconds": time.process_time() - began, "seconds": time.perf_counter() - at}
         views = other_views(made.original, UNSEEN, UNSEEN_SIDE, (seed, 0x5EE))
         pictures = [(to_8_bit(render(made.marked, camera)), camera) for camera in views[:PICTURES]]
         readings = [read_attacked(made, JPEG_10, seed, picture, camera) for picture, camera in pictures]
         pruned = [psnr(render(made.original, camera), render(made.opened.reference, camera)) for camera in views]
-        row: Row = {"scene": Path(scene).name, "budget_db": budget, "recover": recover, "cpu_seconds": seconds}
+        row: Row = {"scene": Path(scene).name, "budget_db": budget, "recover": recover, **seconds}
         row |= {field: made.report[field] for field in FIELDS if field in made.report}
         rows.append(
             row
