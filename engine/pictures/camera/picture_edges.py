@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.model import Camera, Float32, Float64, Int64
 from engine.numerics.resampling import smooth
 from engine.pictures.camera.camera_motion import swung
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, gradient
-from engine.pictures.camera.view_scores import BINS, PAD, SIDE, look_again
+from engine.pictures.camera.view_scores import BINS, PAD, SIDE, folded, look_again
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +37,13 @@ class PictureEdges:
         return cls(np.asarray(small, dtype=np.float32))
 
     @cached_property
-    def maps(self) -> tuple[Float32, Float32]:
-        """Responses for each direction of an edge, split for steps of two pixels, and of four; see `apart`."""
-        maps, _ = _responses(self.small, CONFIG.edges.off)
-        return apart(maps, 2), apart(maps, 4)
+    def maps(self) -> npt.NDArray[np.int16]:
+        """Responses for each direction of an edge, `folded`."""
+        return folded(_responses(self._soft, CONFIG.edges.off))
 
     @cached_property
-    def _near(self) -> tuple[Float32, Float32]:
-        return _responses(self.small, CONFIG.edges.off_again)
+    def _near(self) -> Float32:
+        return np.pad(_responses(self._soft, CONFIG.edges.off_again), [(0, 0), (PAD, PAD), (PAD, PAD)])
 
     @cached_property
     def _soft(self) -> Float32:
@@ -56,10 +56,10 @@ class PictureEdges:
         pixels of the small picture. A pose may be better by 7.5 degrees, 11 % and 2 pixels.
         """
         scores, poses = np.empty(len(which), dtype=np.float32), np.zeros((len(which), 4))
-        sharp, inside = self._near
+        size = np.array(self.small.shape[:2])
         edges, directions = (stacked(views, name) for name in ("edges", "directions"))
         # One kernel for a column of finds and for views in a row.
-        look_again(sharp, inside, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
+        look_again(self._near, size, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
         scores *= (poses[:, 1] / SIDE).astype(np.float32) ** np.float32(CONFIG.edges.larger)
         return scores + np.float32(CONFIG.edges.colored) * self._colored(views, which, poses), poses
 
@@ -95,29 +95,17 @@ def stacked(views: Sequence[ViewPoints], name: str) -> Float32:
     return np.stack([getattr(view, name) for view in views])
 
 
-def apart(maps: Float32, step: int) -> Float32:
-    """(BINS, step, step, h / step, w / step) of maps (BINS, h, w): every `step`-th row and column together."""
-    bins, height, width = maps.shape
-    grid = maps.reshape(bins, height // step, step, width // step, step)
-    return np.ascontiguousarray(grid.transpose(0, 2, 4, 1, 3))
-
-
-def _responses(picture: Float32, reach: int) -> tuple[Float32, Float32]:
-    """What the picture says for each direction of an edge at each place, and 1 inside it: (BINS, h, w) and (h, w),
-    padded by `PAD` pixels or up to three more."""
+def _responses(soft: Float32, reach: int) -> Float32:
+    """(BINS, h, w) what a blurred picture says for each direction of an edge at each place."""
     import cv2
 
-    size, *steps = gradient(picture)
+    size, *steps = gradient(soft)
     turns = np.arctan2(*steps)
     weight = size / (size + 0.5 * np.quantile(size, 0.8) + 0.004)
-    height, width = size.shape
-    maps = np.zeros((BINS, height + -height % 4 + 2 * PAD, width + -width % 4 + 2 * PAD), dtype=np.float32)
-    inside = np.zeros(maps.shape[1:], dtype=np.float32)
-    inner = (slice(PAD, PAD + height), slice(PAD, PAD + width))
+    maps = np.empty((BINS, *size.shape), dtype=np.float32)
     window = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     for b in range(BINS):
         alike = np.maximum(np.cos(2.0 * (turns - np.pi * b / BINS)), 0.0)
         spread = cv2.dilate(np.asarray(weight * alike * alike, dtype=np.float32), window)
-        maps[b][inner] = (spread - spread.mean()) / max(float(spread.std()), 1e-3)
-    inside[inner] = 1.0
-    return maps, inside
+        maps[b] = (spread - spread.mean()) / max(float(spread.std()), 1e-3)
+    return maps

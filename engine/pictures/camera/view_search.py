@@ -42,19 +42,10 @@ def search_views(
     if not views:
         return []
     edges, directions, sizes = stacked(views, "edges"), stacked(views, "directions"), np.array(radii, dtype=np.float32)
-    shape = np.array(picture.small.shape[:2])
-
-    def best_places(maps: Float32, points: slice, jobs: Int64) -> tuple[Float32, Int64]:
-        scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
-        where, along = (np.ascontiguousarray(each[:, points]) for each in (edges, directions))
-        score_views(maps, where, along, jobs, sizes, shape, scores, found)
-        return scores, found
-
-    maps, coarse = picture.maps
     jobs = np.indices((len(views), ROLLS, len(radii))).reshape(3, -1).T.copy()
-    glance, _ = best_places(coarse, slice(None, None, 2), jobs)
-    jobs = jobs[np.argsort(-glance, kind="stable")[: max(_CONFIG.rescored, int(_CONFIG.promising * len(jobs)))]]
-    scores, found = best_places(maps, slice(None), jobs)
+    scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
+    few = (np.ascontiguousarray(each[:, ::2]) for each in (edges, directions))
+    score_views(picture.maps, *few, jobs, sizes, np.array(picture.small.shape[:2]), scores, found)
     ranked = np.argsort(-scores, kind="stable")[: _CONFIG.rescored]
     finds, found = jobs[ranked], found[ranked]
     turns = finds[:, 1] * (2.0 * np.pi / ROLLS)
