@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.pictures.camera.camera_motion import PARAMETERS, point_columns
-from engine.pictures.camera.pose_refinement import _BLOCK, _SUMS, _UNKNOWNS, _normal_equations
+from engine.pictures.camera.camera_motion import point_columns
+from engine.pictures.camera.pose_refinement import _BLOCK, _SUMS, _UNKNOWNS, _normal_equations, _triangles
+from engine.raster.lane_ir import LANES
 
 
 def test_sums_are_those_of_single_pixels() -> None:
@@ -17,9 +18,8 @@ def test_sums_are_those_of_single_pixels() -> None:
     weight = (rng.random((height, width)) * (rng.random((height, width)) < 0.6)).astype(np.float32)
     weight[3] = 0.0
     K = np.array([[50.0, 1.0, 20.0], [0.0, 55.0, 3.0], [0.0, 0.0, 1.0]])
-    rows, flows = np.ones((height, _UNKNOWNS, _UNKNOWNS + 1)), np.ones((height, PARAMETERS, PARAMETERS))
-    room = np.full((8, _BLOCK + _SUMS), np.nan, np.float32)
-    _normal_equations(base, cover, residual, gx, gy, depth, weight, K, 0.5, room, rows, flows)
+    rows, room = np.empty((height, _SUMS)), np.full((8, _BLOCK + _SUMS * LANES), np.nan, np.float32)
+    _normal_equations(base, cover, residual, gx, gy, depth, weight, K, 0.5, room, rows)
     at = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).reshape(-1, 2)
     rays = np.linalg.solve(K, np.column_stack([at, np.ones(len(at))]).T).T[:, :2]
     flow = point_columns(rays, depth.ravel().astype(np.float64), K)  # (P, 2, 11)
@@ -28,6 +28,5 @@ def test_sums_are_those_of_single_pixels() -> None:
     robust = (weight / (1.0 + (residual / 0.5) ** 2)).ravel()
     system = np.einsum("p,pk,pl->kl", robust, columns[:, :_UNKNOWNS], columns)
     moved = np.einsum("p,pak,pal->kl", weight.ravel(), flow, flow)
-    for told, right in ((rows, system), (flows, moved)):
-        upper = np.triu_indices(*right.shape[:1], m=right.shape[1])
-        np.testing.assert_allclose(told.sum(axis=0)[upper], right[upper], rtol=1e-4, atol=1e-5 * np.abs(right).max())
+    for told, right in zip(_triangles(rows.sum(axis=0)), (system, moved), strict=True):
+        np.testing.assert_allclose(told, np.triu(right), rtol=1e-4, atol=1e-5 * np.abs(right).max())

@@ -50,17 +50,23 @@ def test_kernels_say_what_their_twin_says() -> None:
             assert seen < 0.35 * 30 or other <= best + 0.02
     whole = np.pad(responses, [(0, 0), (PAD, PAD), (PAD, PAD)])
     starts = np.array([[0.1, 20.0, 40.0, 30.0]])
-    fine, poses = np.empty(1, np.float32), np.empty((1, 4))
-    look_again(whole, shape, places, directions, np.array([1]), starts, fine, poses)
-    again, _ = score(responses, places[1], directions[1], poses[0, 2:].astype(int), poses[0, 0], poses[0, 1], BINS)
-    assert fine[0] == pytest.approx(again, rel=1e-3)
-    assert fine[0] >= score(responses, places[1], directions[1], np.array([40, 30]), 0.1, 20.0, BINS)[0] - 1e-3
-    assert np.abs(poses[0] - starts[0]).max() <= 2.3
+    pose, gain = np.empty((1, 5)), score(responses, places[1], directions[1], np.array([40, 30]), 0.1, 20.0, BINS)[0]
+    for steps in (0, 1, 2):
+        look_again(whole, shape, places, directions, np.array([1]), starts, steps, pose)
+        turn, size, *place, fine = pose[0]
+        again, _ = score(responses, places[1], directions[1], np.array(place, int), turn, size, BINS)
+        assert fine == pytest.approx(again, rel=1e-3)
+        assert fine >= gain - 1e-3, "more steps find no less"
+        gain = fine
+        assert np.abs(place - starts[0, 2:]).max() <= 2.0
+        assert abs(turn - 0.1) < np.radians(3.76) * steps + 1e-9
+        assert abs(size / 20.0 - 1.0) < 0.056 * steps + 1e-9
     places[0, ::2] *= 0.01
     starts[0, 1:] = 300.0, 40.0, 30.0  # the others lie beyond what is kept around the picture
-    look_again(whole, shape, places, directions, np.array([0]), starts, fine, poses)
-    again, _ = score(responses, places[0], directions[0], poses[0, 2:].astype(int), poses[0, 0], poses[0, 1], BINS)
-    assert fine[0] == pytest.approx(again, rel=1e-3)
+    look_again(whole, shape, places, directions, np.array([0]), starts, 2, pose)
+    turn, size, *place, fine = pose[0]
+    again, _ = score(responses, places[0], directions[0], np.array(place, int), turn, size, BINS)
+    assert fine == pytest.approx(again, rel=1e-3)
 
 
 def test_sums_hold_whatever_a_picture_says() -> None:
@@ -114,17 +120,17 @@ def test_a_first_glance_spares_most_of_the_search(plant: GaussianModel, monkeypa
     """And loses nothing here."""
     picture = PictureEdges.of(np.clip(render_depth(plant, make_rig(plant, 3, 640, 480)[1])[0], 0.0, 1.0))
     views = FarViews(plant, make_rig(plant, 24, 640, 480)).views
-    asked: list[int] = []
+    asked: list[tuple[int, int]] = []
 
-    def counted(self: PictureEdges, views: Any, which: Any, *rest: Any) -> Any:
-        asked.append(len(which))
-        return scored(self, views, which, *rest)
+    def counted(self: PictureEdges, views: Any, which: Any, starts: Any, steps: int) -> Any:
+        asked.append((len(which), steps))
+        return placed(self, views, which, starts, steps)
 
-    scored = PictureEdges.scored
-    monkeypatch.setattr(PictureEdges, "scored", counted)
+    placed = PictureEdges.placed
+    monkeypatch.setattr(PictureEdges, "placed", counted)
     found = search_views(views, picture, 5)
     every = len(views) * ROLLS * len(CONFIG.edges.radii)
-    monkeypatch.setattr(view_search, "_CONFIG", replace(CONFIG.edges, rescored=every))
+    monkeypatch.setattr(view_search, "_CONFIG", replace(CONFIG.edges, promising=every, rescored=every))
     whole = search_views(views, picture, 5)
-    assert asked == [CONFIG.edges.rescored, every]
+    assert asked == [(CONFIG.edges.promising, 0), (CONFIG.edges.rescored, 2), (every, 0), (every, 2)]
     assert [score for score, _ in found] == [score for score, _ in whole]

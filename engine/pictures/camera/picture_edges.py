@@ -49,19 +49,25 @@ class PictureEdges:
     def _soft(self) -> Float32:
         return smooth(self.small, CONFIG.edges.soft)
 
-    def scored(self, views: Sequence[ViewPoints], which: Int64, starts: Float64) -> tuple[Float32, Float64]:
-        """How well views fit near where they are thought to be: scores (F,) and the poses (F, 4) that fit best.
+    def placed(self, views: Sequence[ViewPoints], which: Int64, starts: Float64, steps: int) -> Float64:
+        """Poses near those where views are thought to be at which edges fit best, and how well: (F, 5).
 
         `which` (F,) of the views it is, and its pose `starts` (F, 4): roll, radians; size, pixels; x, y of its middle,
-        pixels of the small picture. A pose may be better by 7.5 degrees, 11 % and 2 pixels.
+        pixels of the small picture. The best may be 2 pixels off, and so many steps of 3.75 degrees and of 5.5 %.
         """
-        scores, poses = np.empty(len(which), dtype=np.float32), np.zeros((len(which), 4))
-        size = np.array(self.small.shape[:2])
+        finds, size = np.zeros((len(which), 5)), np.array(self.small.shape[:2])
         edges, directions = (stacked(views, name) for name in ("edges", "directions"))
         # One kernel for a column of finds and for views in a row.
-        look_again(self._near, size, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
-        scores *= (poses[:, 1] / SIDE).astype(np.float32) ** np.float32(CONFIG.edges.larger)
-        return scores + np.float32(CONFIG.edges.colored) * self._colored(views, which, poses), poses
+        look_again(self._near, size, edges, directions, np.ascontiguousarray(which), starts, steps, finds)
+        finds[:, 4] *= (finds[:, 1] / SIDE) ** CONFIG.edges.larger
+        return finds
+
+    def scored(self, views: Sequence[ViewPoints], which: Int64, starts: Float64) -> tuple[Float32, Float64]:
+        """How well views fit in edges and colors: scores (F,), and the poses (F, 4) within two steps that fit best; see
+        `placed`."""
+        finds = self.placed(views, which, starts, 2)
+        colored = self._colored(views, which, finds[:, :4])
+        return finds[:, 4].astype(np.float32) + np.float32(CONFIG.edges.colored) * colored, finds[:, :4]
 
     def _colored(self, views: Sequence[ViewPoints], which: Int64, poses: Float64) -> Float32:
         """(F,) Fisher's transform of the correlation of colours, each channel from its own mean."""

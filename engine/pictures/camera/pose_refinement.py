@@ -33,11 +33,12 @@ from engine.raster.lane_memory import load, store
 
 _CONFIG = CONFIG.refinement
 _UNKNOWNS = PARAMETERS + 2
-# Of 16 pixels: columns and the residual, flow across and down, both weights; and the sums of their products.
+# Of 16 pixels: columns and the residual, flow across and down, both weights; and how many sums of their products.
 _FLOWS = (_UNKNOWNS + 1) * LANES
 _WEIGHTS = _FLOWS + 2 * PARAMETERS * LANES
 _BLOCK = _WEIGHTS + 2 * LANES
-_SUMS = (_UNKNOWNS * (_UNKNOWNS + 3) + PARAMETERS * (PARAMETERS + 1)) // 2 * LANES
+_PRODUCTS = _UNKNOWNS * (_UNKNOWNS + 3) // 2
+_SUMS = _PRODUCTS + PARAMETERS * (PARAMETERS + 1) // 2
 
 
 DEFAULT_SETTINGS = RasterSettings()
@@ -101,21 +102,9 @@ def _add_products(block, sums):
             at += LANES
 
 
-@inlined
-def _summed(sums, at, out):
-    """`out`'s upper triangle from lanes, and where the next begins."""
-    for k in range(out.shape[0]):
-        for l in range(k, out.shape[1]):
-            out[k, l] = 0.0
-            for lane in range(LANES):
-                out[k, l] += sums[at + lane]
-            at += LANES
-    return at
-
-
 @parallel_kernel
-def _normal_equations(base, cover, residual, gx, gy, depth, weight, K, spread, room, rows, flows, call):
-    """The sums of each row of pixels, `rows` and `flows`; `room` is scratch."""
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, K, spread, room, rows, call):
+    """The sums of each row of pixels, to `rows` (height, _SUMS); `room` is scratch."""
     height, width = base.shape
     block, sums = room[call[0], :_BLOCK], room[call[0], _BLOCK:]
     block[:] = np.float32(0.0)
@@ -148,7 +137,10 @@ def _normal_equations(base, cover, residual, gx, gy, depth, weight, K, spread, r
         block[_WEIGHTS + filled : _WEIGHTS + LANES] = np.float32(0.0)
         block[_WEIGHTS + LANES + filled : _BLOCK] = np.float32(0.0)
         _add_products(block, sums)
-        _summed(sums, _summed(sums, 0, rows[j]), flows[j])
+        for k in range(_SUMS):
+            rows[j, k] = 0.0
+            for lane in range(LANES):
+                rows[j, k] += sums[k * LANES + lane]
 
 
 def refine_level(
@@ -195,8 +187,7 @@ def refine_level(
         gy, gx = np.gradient(toned)
         by, bx = np.gradient(cover)
         gy, gx = gy - by * behind, gx - bx * behind
-        rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
-        flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
+        rows = np.empty((camera.height, _SUMS))
         _normal_equations(
             base,
             cover,
@@ -207,14 +198,13 @@ def refine_level(
             weight,
             camera.K,
             outlying,
-            np.empty((thread_count(), _BLOCK + _SUMS), dtype=np.float32),
+            np.empty((thread_count(), _BLOCK + _SUMS * LANES), dtype=np.float32),
             rows,
-            flows,
         )
-        system = rows.sum(axis=0)
+        system, flow = _triangles(rows.sum(axis=0))
         damping = max(_CONFIG.damping, _CONFIG.first_damping * 0.5**iteration if free > CENTERED else 0.0)
         motion, brightness = _solve(system, free, damping)
-        flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
+        flow = _symmetric(flow) / max(float(weight.sum()), 1e-12)
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
             return None
@@ -285,6 +275,14 @@ def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
     """(H, W) how far a pixel shows the model and nothing else."""
     usable = (alpha > _CONFIG.least_alpha) & (depth > 0) & (seen < _CONFIG.clipped)
     return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
+
+
+def _triangles(sums: Float64) -> tuple[Float64, Float64]:
+    """The upper triangles of what `_normal_equations` adds up: columns by columns and residual, flows by flows."""
+    system, flow = np.zeros((_UNKNOWNS, _UNKNOWNS + 1)), np.zeros((PARAMETERS, PARAMETERS))
+    system[np.triu_indices(_UNKNOWNS, m=_UNKNOWNS + 1)] = sums[:_PRODUCTS]
+    flow[np.triu_indices(PARAMETERS)] = sums[_PRODUCTS:]
+    return system, flow
 
 
 def _symmetric(upper: Float64) -> Float64:

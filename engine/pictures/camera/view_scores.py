@@ -32,10 +32,10 @@ def look_again(
     directions: Float32,
     views: Int64,
     starts: Float64,
-    scores: Float32,
-    poses: Float64,
+    steps: int,
+    finds: Float64,
 ) -> None:
-    """The best pose near each of F finds: roll within 7.5 degrees, size within 11 %, place within 2 pixels.
+    """The best pose near each of F: place within 2 pixels, so many steps of 3.75 degrees of roll, and of 5.5 % of size.
 
     Parameters
     ----------
@@ -45,14 +45,15 @@ def look_again(
     views : (F,) int64
     starts : (F, 4)
         Roll, radians; size, pixels; x, y of the middle, pixels.
-    scores, poses : (F,), (F, 4) out
+    finds : (F, 5) out
+        As `starts`, and the score.
     """
     threads, points = thread_count(), directions.shape[1]
     room = np.empty((threads, 3, points), np.int64), np.empty((threads, AROUND, LANES), np.float32)
     counted = np.empty((threads, AROUND, AROUND), np.int64)
     roots = np.sqrt(np.arange(points + 1).astype(np.float32))
     shape = *maps.shape[1:], *(int(side) for side in size)
-    _look_again(maps.reshape(-1), shape, places, directions, views, starts, (*room, counted), roots, scores, poses)
+    _look_again(maps.reshape(-1), shape, places, directions, views, starts, steps, (*room, counted), roots, finds)
 
 
 @inlined
@@ -85,19 +86,19 @@ def _sum_around(maps, shape, bins, rows, columns, said, counted):
 
 
 @parallel_kernel
-def _look_again(maps, shape, places, directions, views, starts, room, roots, scores, poses, call):
+def _look_again(maps, shape, places, directions, views, starts, steps, room, roots, finds, call):
     points = directions.shape[1]
     columns, rows, bins = room[0][call[0], 0], room[0][call[0], 1], room[0][call[0], 2]
     said, counted = room[1][call[0]].reshape(-1), room[2][call[0]]
     for f in share_of(views.shape[0], call):
         view = views[f]
         best = np.float32(-1e9)
-        for turn in range(-2, 3):
+        for turn in range(-steps, steps + 1):
             angle = starts[f, 0] + turn * (np.pi / ROLLS / 2.0)
             c, s = np.cos(angle), np.sin(angle)
             for p in range(points):
                 bins[p] = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
-            for grow in range(-2, 3):
+            for grow in range(-steps, steps + 1):
                 radius = starts[f, 1] * (1.0 + 0.055 * grow)
                 for p in range(points):
                     x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
@@ -109,9 +110,9 @@ def _look_again(maps, shape, places, directions, views, starts, room, roots, sco
                         inside, total = whole + counted[j, i], said[j * LANES + i]
                         if inside >= LEAST_INSIDE * points and total > best * roots[inside]:
                             best = total / roots[inside]
-                            poses[f, 0], poses[f, 1] = angle, radius
-                            poses[f, 2], poses[f, 3] = starts[f, 2] + (i - 2), starts[f, 3] + (j - 2)
-        scores[f] = best
+                            finds[f, 0], finds[f, 1] = angle, radius
+                            finds[f, 2], finds[f, 3] = starts[f, 2] + (i - 2), starts[f, 3] + (j - 2)
+        finds[f, 4] = best
 
 
 def folded(responses: Float32) -> npt.NDArray[np.int16]:
