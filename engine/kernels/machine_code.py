@@ -90,7 +90,7 @@ def flatten(values: Sequence[Any], out: list[Any]) -> list[Any]:
     for value in values:
         if isinstance(value, np.ndarray):
             try:
-                address = ctypes.addressof(ctypes.c_char.from_buffer(value))
+                address = ctypes.addressof(ctypes.c_char.from_buffer(value.data))
             except (TypeError, ValueError):  # it is empty, may not be written, or has gaps: this takes longer
                 address = value.__array_interface__["data"][0]
             out += (None, None, value.size, value.itemsize, address, *value.shape, *value.strides)

@@ -44,8 +44,8 @@ def search_views(
     edges, directions, sizes = stacked(views, "edges"), stacked(views, "directions"), np.array(radii, dtype=np.float32)
     jobs = np.indices((len(views), ROLLS, len(radii))).reshape(3, -1).T.copy()
     scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
-    few = (np.ascontiguousarray(each[:, ::2]) for each in (edges, directions))
-    score_views(picture.maps, *few, jobs, sizes, np.array(picture.small.shape[:2]), scores, found)
+    few, their = (np.ascontiguousarray(each[:, ::2]) for each in (edges, directions))
+    score_views(picture.maps, few, their, jobs, sizes, np.array(picture.small.shape[:2]), scores, found)
     ranked = np.argsort(-scores, kind="stable")[: _CONFIG.promising]
     finds, found = jobs[ranked], found[ranked]
     turns = finds[:, 1] * (2.0 * np.pi / ROLLS)
