@@ -131,8 +131,9 @@ def embed(
     With --tsa a part of the watermark follows from a time stamp, so that records
     can hardly be tried out: a claim then counts 2^20 requests to that service
     and needs 1 in 10^9 instead of 1 in 2^128, where verify gets the service's
-    certificate (--tsa-certificates). Only a digest is sent. Each run draws another watermark: mark further copies with
-    --earlier, or comparing the files reveals both.
+    certificate (--tsa-certificates). Only a digest is sent. Each run draws
+    another watermark: mark further copies with --earlier, or comparing the files
+    reveals both.
     """
     console = Console(json)
     began = time.perf_counter()
