@@ -49,7 +49,7 @@ def look_again(
         As `starts`, and the score.
     """
     threads, points = thread_count(), directions.shape[1]
-    room = np.empty((threads, 3, points), np.int64), np.empty((threads, AROUND, LANES), np.float32)
+    room = np.empty((threads, 3, points), np.int64), np.empty((threads, AROUND * LANES), np.float32)
     counted = np.empty((threads, AROUND, AROUND), np.int64)
     roots = np.sqrt(np.arange(points + 1).astype(np.float32))
     shape = *maps.shape[1:], *(int(side) for side in size)
@@ -89,7 +89,7 @@ def _sum_around(maps, shape, bins, rows, columns, said, counted):
 def _look_again(maps, shape, places, directions, views, starts, steps, room, roots, finds, call):
     points = directions.shape[1]
     columns, rows, bins = room[0][call[0], 0], room[0][call[0], 1], room[0][call[0], 2]
-    said, counted = room[1][call[0]].reshape(-1), room[2][call[0]]
+    said, counted = room[1][call[0]], room[2][call[0]]
     for f in share_of(views.shape[0], call):
         view = views[f]
         best = np.float32(-1e9)
