@@ -89,7 +89,7 @@ results: $(STAMP) kernels
 	cp $(MEASURED)/figures/pareto.png docs/
 	$(OF_COMMIT) $(MEASURED)/17_profiles.json > docs/results/17_profiles.json
 	$(BIN)/python -m engine.lab.evaluate.stability.attack_families $(SWEPT) docs/attack_families.png docs/results/21_attack_families.json
-	$(BIN)/python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md
+	$(BIN)/python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md service/claims/error_rates.json
 
 families: $(STAMP) kernels
 	$(BIN)/mark3dgs evaluate --suite stability --setting families $(addprefix --scene ,$(SCENES)) --out $(MEASURED)/families

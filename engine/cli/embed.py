@@ -13,8 +13,8 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
+from engine.cli.options import Device, Key, Knobs, SpzFrame
 from engine.cli.options import Json as AsJson
-from engine.cli.options import Key, Knobs, SpzFrame
 from engine.errors import InputError
 from engine.numerics.plain import Report
 from engine.usecases.files import format_for, read_bytes
@@ -81,7 +81,7 @@ def embed(
     ] = None,
     copy: Annotated[
         list[str] | None,
-        typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own. Repeatable, see below."),
+        typer.Option("--copy", metavar="NAME", help="Recipient, whom trace names. Repeatable, see below."),
     ] = None,
     earlier: Annotated[
         Path | None,
@@ -94,6 +94,7 @@ def embed(
         str | None,
         typer.Option("--tsa", metavar="URL", help="Time-stamping service (RFC 3161) that draws a part, see below."),
     ] = None,
+    device: Device = "cpu",
     knobs: Knobs = None,
     spz_frame: SpzFrame = "auto",
     force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
@@ -103,7 +104,8 @@ def embed(
 
     Writes the marked model, which looks the same, and a record, which proves
     the mark later, together with the key. Publish the model; keep the original,
-    the record and the key. Same model, key and settings: same files.
+    the record and the key. Same model, key and settings: same files, unless a GPU
+    fits (--device): then mark all copies in one command.
 
     Examples:
 
@@ -127,10 +129,11 @@ def embed(
         --record initech.record --earlier acme.record
 
     With --tsa a part of the watermark follows from a time stamp, so that records
-    cannot be tried out: a claim then needs 1 in 10^9 instead of 1 in 2^128,
-    where verify gets that service's certificate (--tsa-certificates). Only a
-    digest is sent. Each run draws another watermark: mark further copies with
-    --earlier, or comparing the files reveals both.
+    can hardly be tried out: a claim then counts 2^20 requests to that service
+    and needs 1 in 10^9 instead of 1 in 2^128, where verify gets the service's
+    certificate (--tsa-certificates). Only a digest is sent. Each run draws
+    another watermark: mark further copies with --earlier, or comparing the files
+    reveals both.
     """
     console = Console(json)
     began = time.perf_counter()
@@ -152,7 +155,13 @@ def embed(
         outputs=_outputs(copy or [""], out, record),
         terms=MarkTerms(
             config=compose(
-                profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), survive=survive, knobs=knobs or ()
+                profile,
+                psnr_db=psnr,
+                output=output,
+                budget_db=_decibels(budget),
+                survive=survive,
+                device=device,
+                knobs=knobs or (),
             ),
             message=message_signs(message) if message is not None else None,
             bits=bits or 32,

@@ -7,6 +7,15 @@ import typer
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 
+Device = Annotated[
+    str,
+    typer.Option(
+        "--device",
+        metavar="auto|cpu|cuda",
+        help="What fits pruned models and refines; cuda: a GPU (mark3dgs[cuda]); auto: where there is one.",
+    ),
+]
+
 Key = Annotated[Path, typer.Option("--key", help="Owner key file, from `mark3dgs keygen`.")]
 
 SpzFrame = Annotated[

@@ -7,6 +7,7 @@ wavelet term of Eq 9. With a budget, pruning and recovery take turns (DESIGN 4.2
 from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +15,10 @@ import numpy.typing as npt
 from engine.compress.config import CONFIG
 from engine.compress.impact import ranks
 from engine.compress.pruning import PruneConfig, Pruned, prune
-from engine.model import Camera, Float64, GaussianModel
+from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.adam import AdamMoments, adam_step
 from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors
+from engine.raster.cuda import CudaView
 
 _CONFIG = CONFIG.recovery
 
@@ -59,12 +61,13 @@ class Target:
     cameras: Sequence[Camera]
     images: Sequence[npt.NDArray[np.float16]]  # (H, W, 3) each, 0 to 1
     work: float  # that may be spent on fitting to it, nanoseconds of one core
+    device: str = "cpu"  # that draws what is fitted: "cpu" or "cuda"; as many steps on either
 
     @classmethod
-    def of(cls, model: GaussianModel, cameras: Sequence[Camera]) -> "Target":
+    def of(cls, model: GaussianModel, cameras: Sequence[Camera], device: str = "cpu") -> "Target":
         """A model, seen by some cameras."""
         images = [np.clip(render(model, camera), 0.0, 1.0).astype(np.float16) for camera in cameras]
-        return cls(cameras, images, work_for(len(model)))
+        return cls(cameras, images, work_for(len(model)), device)
 
 
 def work_for(gaussians: int) -> float:
@@ -79,7 +82,7 @@ def views_for(gaussians: int, side: int) -> int:
 
 
 class Recovery:
-    """A fit in progress; the same bits whatever the number of threads."""
+    """A fit in progress; on the CPU the same bits whatever the number of threads."""
 
     def __init__(self, model: GaussianModel, target: Target, goal_db: float = 0.0, left: float | None = None) -> None:
         self._base = model  # colours, centres to start from, and where the bounds lie
@@ -140,19 +143,27 @@ class Recovery:
         model = self._base.with_(**moving | {"means": self._base.means + self._width * moving["means"]})
         self.left -= cost(len(model), camera.width * camera.height)
         self._steps += 1
-        rendering = draw(model, camera, colors=sh_colors(model.sh, model.means, camera.position.astype(np.float32)))
-        gap = np.clip(rendering.image, 0.0, 1.0)
-        gap -= self._target.images[k]
-        self._errors[k] = float(np.mean(np.square(gap), dtype=np.float64)) + 1e-12
-        gap /= np.float32(_CONFIG.knee)
-        # Derivative of the absolute error, rounded off near zero (Huber); its scale is nothing to Adam
-        gradients = backward(rendering, np.clip(gap, -1.0, 1.0, out=gap), out=self._gradients)
+        colors, gradients = sh_colors(model.sh, model.means, camera.position.astype(np.float32)), self._gradients
+        if self._target.device == "cuda":
+            CudaView(model, camera).gradients(colors, partial(self._pull, k), gradients)
+        else:
+            rendering = draw(model, camera, colors=colors)
+            backward(rendering, self._pull(k, rendering.image), out=gradients)
         np.multiply(gradients.means, self._width, out=gradients.means)
         for name, rate in _RATES.items():
             gradient = getattr(gradients, name)
             if not np.isfinite(gradient.sum()):  # one absurd Gaussian must not spoil the others
                 np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
             adam_step(moving[name], gradient, self._moments[name], pace * rate, self._steps)
+
+    def _pull(self, k: int, image: Float32) -> Float32:
+        """(H, W, 3) derivative of the absolute error of view k, rounded off near zero (Huber); its scale is nothing to
+        Adam."""
+        gap = np.clip(image, 0.0, 1.0)
+        gap -= self._target.images[k]
+        self._errors[k] = float(np.mean(np.square(gap), dtype=np.float64)) + 1e-12
+        gap /= np.float32(_CONFIG.knee)
+        return np.clip(gap, -1.0, 1.0, out=gap)
 
     def thinned(self, share: float) -> "Recovery":
         """The fit going on with this share of the Gaussians, those that the views, weighed by their errors, would miss

@@ -89,7 +89,10 @@ def flatten(values: Sequence[Any], out: list[Any]) -> list[Any]:
     size, address, shape and strides; tuples as their members; None as no address."""
     for value in values:
         if isinstance(value, np.ndarray):
-            address = value.__array_interface__["data"][0]
+            try:
+                address = ctypes.addressof(ctypes.c_char.from_buffer(value.data))
+            except (TypeError, ValueError):  # it is empty, may not be written, or has gaps: this takes longer
+                address = value.__array_interface__["data"][0]
             out += (None, None, value.size, value.itemsize, address, *value.shape, *value.strides)
         elif isinstance(value, tuple):
             flatten(value, out)

@@ -153,12 +153,32 @@ def mark(
             profile=request.profile,
             repairs=loaded.noticed,
             psnr_as_written=as_written,
-            notes=[*settings_note(terms, made), *notes_of(scene, kind), *left_out_note(revealed)],
+            notes=[
+                *settings_note(terms, made),
+                *device_note(terms, made),
+                *notes_of(scene, kind),
+                *left_out_note(revealed),
+            ],
             seconds=ended - began,
             seconds_by_stage=stages | made.report.seconds_by_stage | {"write": ended - started},
         )
         yield MarkAnswer(output, scene, made, loaded, report)
         began, stages = time.perf_counter(), {}
+
+
+def device_note(terms: MarkTerms, made: Embedding) -> list[str]:
+    """What became of a GPU that was asked for."""
+    from engine.flows.embed.profiles import Auto
+
+    wanted = terms.config.start if isinstance(terms.config, Auto) else terms.config
+    if wanted is None or wanted.device == "cpu":
+        return []
+    if made.report.device == "cuda":
+        return ["fitted on a GPU, which never gives the same file twice: mark all copies in one command"]
+    return [
+        "the GPU was not used: it fits what --budget leaves or a profile refines, of models without discs that are not "
+        "antialiased, seen by cameras without skew"
+    ]
 
 
 def settings_note(terms: MarkTerms, made: Embedding) -> list[str]:

@@ -72,7 +72,6 @@ class Attested:
     # The chips follow from a time-stamping service's signature over key, original and plan, which was checked: records
     # could be tried out by asking it only
     drawn: bool = False
-    tries: int = DRAWS  # records that may have been tried out so
 
     def __post_init__(self) -> None:
         _ = self.moment
@@ -119,7 +118,7 @@ def applicable_rate(
     basis = _basis(attested, suspect_seen, suspect_existed)
     if basis == "younger":
         return AppliedRate(min(wanted, DEMANDS[basis]), basis, None)
-    tries = attested.tries if attested is not None and basis == "drawn" else 1
+    tries = DRAWS if basis == "drawn" else 1
     return AppliedRate(min(wanted, DEMANDS[basis]), basis, usual, conditions_of(basis, suspect_seen), tries)
 
 
@@ -156,5 +155,5 @@ def moment(text: str) -> datetime:
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 
 
-MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "the measurement", drawn=True, tries=1)
-"""For measurements, whose records are older than their suspects."""
+MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "the measurement", drawn=True)
+"""For measurements, as if a time-stamping service had drawn: the lowest demand that a record can meet."""

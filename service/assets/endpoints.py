@@ -29,7 +29,7 @@ from service.trust.signing import sign
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
-Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
+Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb", "usdc", "usdz"]
 
 
 class Asset(BaseModel):

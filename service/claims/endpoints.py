@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Query, Response
+from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, Field
 
 from engine.present.wording import named_copy
+from service.claims.annex import annex_html
 from service.claims.document import Summary, document_words, summary_of
 from service.claims.pack import make_pack, shown_in_pack
 from service.claims.report import report_html
@@ -19,7 +21,7 @@ from service.db import holding, page
 from service.db.schema import assets, claims
 from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Listed, Reader, Words, visible
 from service.http.error_responses import OF_LIST, OF_OWN, responses
-from service.http.file_responses import PAGE, TEXT, one_file
+from service.http.file_responses import TEXT, one_file
 from service.http.results import Time
 from service.trust.commitments import forget
 from service.trust.signing import jwks
@@ -110,12 +112,19 @@ def delete_claim(claim_id: str, core: Core, caller: Admin) -> None:
     forget(core.db, claims, caller.tenant, claim_id)
 
 
-@router.get(
-    "/v1/claims/{claim_id}/report", operation_id="getReport", response_class=Response, responses={**PAGE, **OF_OWN}
-)
-def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
+@router.get("/v1/claims/{claim_id}/report", operation_id="getReport", response_class=HTMLResponse, responses=OF_OWN)
+def get_report(claim_id: str, core: Core, caller: Follower) -> str:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
     return report_page(core, visible(core, caller, claims, claim_id))
+
+
+@router.get("/v1/claims/{claim_id}/annex", operation_id="getAnnex", response_class=HTMLResponse, responses=OF_OWN)
+def get_annex(claim_id: str, core: Core, caller: Follower) -> str:
+    """How often the method errs, as one page beside the report: what was tested, error rates, known limits. Not signed.
+
+    Its numbers are of the service's version; where another version made the claim, the page says so.
+    """
+    return annex_html(json.loads(visible(core, caller, claims, claim_id).document))
 
 
 @packs.get(
@@ -143,10 +152,10 @@ def signed(row: Any) -> SignedClaim:
     return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=summary_of(document))
 
 
-def report_page(service: Service, row: Any) -> Response:
+def report_page(service: Service, row: Any) -> str:
     """The claim as one page."""
     pictures = {name: service.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
-    return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
+    return report_html(json.loads(row.document), row.jws, pictures, row.timestamp)
 
 
 def pack_file(service: Service, row: Any, given: OwnerStatement) -> Response:

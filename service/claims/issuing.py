@@ -61,7 +61,7 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, 
 def links_of(document: Document, settings: Settings) -> dict[str, str]:
     """Where a claim and what belongs to it are, as paths of the API; a pack where there are packs."""
     claim = f"/v1/claims/{document['claim_id']}"
-    links = {"claim": claim, "jws": f"{claim}.jws", "report": f"{claim}/report"}
+    links = {"claim": claim, "jws": f"{claim}.jws", "report": f"{claim}/report", "annex": f"{claim}/annex"}
     links |= {"asset": f"/v1/assets/{document['asset']}"} if document["asset"] else {}
     packed = settings.has_router("packs") and not no_pack(document)
     return links | ({"pack": f"{claim}/pack"} if packed else {})

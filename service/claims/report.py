@@ -53,7 +53,7 @@ def report_html(
 ) -> str:
     """One self-contained HTML page; pictures: PNG bytes, as `document["pictures"]` names them; timestamp: RFC 3161."""
     words, captions, reading = document_words(document), captions_of(document), document_reading(document)
-    return _template().render(
+    return template("report.html").render(
         claim=document,
         words=words,
         facts=[fact for fact in words.facts if fact.leading],
@@ -143,8 +143,14 @@ def _pretty(document: Mapping[str, Any]) -> str:
     return re.sub(r"\[[\s\d.,eE+-]+\]", lambda found: " ".join(found[0].split()), text)
 
 
+def _plain(markdown: str) -> str:
+    """A sentence without the signs of code and links."""
+    return re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", markdown).replace("`", "")
+
+
 @cache
-def _template() -> Template:
+def template(name: str) -> Template:
+    """A page of this folder."""
     environment = templates(Path(__file__).parent)
-    environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when)
-    return environment.get_template("report.html")
+    environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when, plain=_plain)
+    return environment.get_template(name)

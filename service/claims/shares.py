@@ -11,8 +11,10 @@ from typing import Annotated, Any
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Response
+from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, ConfigDict, Field
 
+from service.claims.annex import annex_html
 from service.claims.endpoints import ZIP, SignedClaim, pack_file, packs, report_page, signed
 from service.claims.pack import shown_in_pack
 from service.claims.schema import OwnerStatement
@@ -22,7 +24,6 @@ from service.db import Database, missing, own
 from service.db.schema import claims, shares
 from service.http.access import Core, Follower, Verifier, visible
 from service.http.error_responses import OF_OWN, responses
-from service.http.file_responses import PAGE
 from service.http.forms import WHOLE, RequestBody
 from service.http.results import Time
 from service.problems import Problem
@@ -112,14 +113,19 @@ def revoke_share(share_id: str, core: Core, caller: Verifier) -> None:
 
 
 @router.get(
-    "/shared/{token}",
-    operation_id="sharedReport",
-    response_class=Response,
-    responses={**PAGE, **responses("not-found")},
+    "/shared/{token}", operation_id="sharedReport", response_class=HTMLResponse, responses=responses("not-found")
 )
-def shared_report(token: str, core: Core) -> Response:
+def shared_report(token: str, core: Core) -> str:
     """The report, for anyone with its address."""
     return report_page(core, shared(core.db, token))
+
+
+@router.get(
+    "/shared/{token}/annex", operation_id="sharedAnnex", response_class=HTMLResponse, responses=responses("not-found")
+)
+def shared_annex(token: str, core: Core) -> str:
+    """How often the method errs, for anyone with the address of the report."""
+    return annex_html(json.loads(shared(core.db, token).document))
 
 
 @router.get("/shared/{token}/claim.json", operation_id="sharedClaim", responses=responses("not-found"))

@@ -26,7 +26,7 @@ class Client(Calls):
         asset_id: str,
         target: Target,
         *,
-        format: Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"] | None = None,
+        format: Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb", "usdc", "usdz"] | None = None,
         version: Literal["marked", "original"] = "marked",
         progress: Progress = silent,
     ) -> Path:
@@ -41,6 +41,10 @@ class Client(Calls):
     def report(self, claim_id: str, target: Target) -> Path:
         """Fetch a claim as one page (HTML) to a file."""
         return self._fetch(address("claims", claim_id, "report"), target, {}, silent)
+
+    def annex(self, claim_id: str, target: Target) -> Path:
+        """Fetch how often the method errs, as one page (HTML) beside the report, to a file."""
+        return self._fetch(address("claims", claim_id, "annex"), target, {}, silent)
 
     def jws(self, claim_id: str, target: Target) -> Path:
         """Fetch the signed claim alone to a file, for `mark3dgs verify-report` and third parties."""

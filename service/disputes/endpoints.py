@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Response
+from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.present.dispute_text import dispute_page, dispute_words
@@ -19,7 +20,6 @@ from service.db.schema import assets, jobs
 from service.http.access import Core, Disputer, Party
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
-from service.http.file_responses import PAGE
 from service.http.forms import RequestBody
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.results import DisputeResult
@@ -72,13 +72,11 @@ def get_dispute(dispute_id: str, core: Core, caller: Party) -> Settled:
     return Settled(document=result["document"], jws=result["jws"], **said)
 
 
-@router.get(
-    "/{dispute_id}/report", operation_id="getDisputeReport", response_class=Response, responses={**PAGE, **OF_OWN}
-)
-def get_dispute_report(dispute_id: str, core: Core, caller: Party) -> Response:
+@router.get("/{dispute_id}/report", operation_id="getDisputeReport", response_class=HTMLResponse, responses=OF_OWN)
+def get_dispute_report(dispute_id: str, core: Core, caller: Party) -> str:
     """The dispute as one page to read, print and send."""
     result = _found(core, caller, dispute_id)
-    return Response(dispute_page(result["document"]["finding"], result["jws"]), media_type="text/html")
+    return dispute_page(result["document"]["finding"], result["jws"])
 
 
 def _submit(core: Service, caller: Caller, body: DisputeRequest, retry_key: str | None) -> Job:

@@ -96,9 +96,6 @@ def one_file(media_type: str, description: str, schema: Mapping[str, object] = B
     return {200: {"content": {media_type: schema}, "description": description}}
 
 
-PAGE = one_file("text/html", "One page, all in it", TEXT)
-
-
 def file_responses(media_type: str, *also: str) -> Responses:
     """OpenAPI of a file of one's own, whole or in part, and of the problems instead of it."""
     return {

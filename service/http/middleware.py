@@ -53,7 +53,7 @@ class SafeHeaders:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 shared = scope["path"].startswith(SHARED)
-                report = shared or scope["path"].endswith("/report")
+                report = shared or scope["path"].endswith(("/report", "/annex"))
                 headers.setdefault("Content-Security-Policy", REPORT_POLICY if report else POLICY)
                 headers.setdefault("X-Content-Type-Options", "nosniff")
                 headers.setdefault("Referrer-Policy", "no-referrer")

@@ -146,7 +146,7 @@ class VerifyResult(Reading):
     asset_id: Annotated[str | None, Field(description="null where no asset was recognised.")]
     checks: list[CheckResult]
     others: Annotated[list[AssetReading], Field(description="Other assets that were recognised, at most 20.")]
-    links: Annotated[dict[str, str], Field(description="claim, jws, report; asset; pack, where there is one.")]
+    links: Annotated[dict[str, str], Field(description="claim, jws, report, annex; asset; pack, where there is one.")]
     timestamp_failure: NotRequired[Annotated[str, Field(description="Why there is no time stamp.")]]
 
 

@@ -53,9 +53,9 @@ WIDE = {
     "engine/kernels/native_probe.py": ["_probe"],
     "engine/lab/evaluate/cost/cost_cells.py": ["measure_size"],
     "engine/lab/raster/autograd.py": ["forward", "rasterize"],
-    "engine/lab/raster/cuda.py": ["rasterize"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
     "engine/lab/sim/variants/variant_table.py": ["_row"],
+    "engine/raster/cuda.py": ["rasterize"],
 }
 """Functions with more, by file: to be fewer, never more."""
 

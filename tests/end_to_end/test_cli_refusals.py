@@ -187,6 +187,18 @@ def test_render_and_bench(capsys: Capsys, tmp_path: Path) -> None:
     assert "no option --method" in str(wrong)
 
 
+def test_a_gpu_that_is_not_there(key: Path, capsys: Capsys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Is missed before the model, which is not there either, is looked for."""
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    command = ("embed", tmp_path / "none.ply", tmp_path / "out.ply", "--key", key, "--record", tmp_path / "a.record")
+    assert "device 'cuda'" in str(refused(capsys, *command, "--device", "cuda")["message"])
+    assert "device 'cuda'" in str(refused(capsys, "evaluate", "--suite", "budgets", "--device", "cuda")["message"])
+    assert "none.ply" in str(refused(capsys, *command, "--device", "auto")["message"])
+    wrong = refused(capsys, "evaluate", "--suite", "null", "--device", "auto", "--out", tmp_path)["message"]
+    assert "no option --device" in str(wrong)
+    assert [path.name for path in tmp_path.iterdir()] == ["owner.key"]
+
+
 def test_an_unknown_profile_has_no_settings(capsys: Capsys) -> None:
     assert "heroic" in str(refused(capsys, "config", "show", "--profile", "heroic")["message"])
     code, shown = ask(capsys, "config", "show", "--profile", "fast")

@@ -102,7 +102,7 @@ def test_pictures_of_an_average_name_each_copy(copies: Copies) -> None:
 
 
 def test_a_name_that_verification_would_leave_open_says_why(copies: Copies) -> None:
-    stamped = Attested("2026-01-01T00:00:00+00:00", "a service", drawn=True, tries=1)
+    stamped = Attested("2026-01-01T00:00:00+00:00", "a service", drawn=True)
     told = []
     for side in (48, 128):
         camera = copies.opened[0].cameras[0].resized(side, side)

@@ -22,7 +22,7 @@ from engine.model import GaussianModel
 from engine.raster import render
 from engine.watermark.claim import LINEAR
 from engine.watermark.grain import roughen
-from engine.watermark.rates import OWNER, Attested, Condition, ConditionKind
+from engine.watermark.rates import DRAWS, OWNER, Attested, Condition, ConditionKind
 from tests.parameters import few
 
 pytestmark = pytest.mark.slow
@@ -169,7 +169,7 @@ def test_fine_tuning_on_clean_images_keeps_every_bit(scene: MarkedScene) -> None
 def test_tries_of_the_whole_question_count_in_every_bound(scene: MarkedScene) -> None:
     alone = verify_model(scene.marked, scene.opened).claim
     among = verify_model(scene.marked, scene.opened, VerifyConfig(tries=200)).claim
-    assert (alone.tries, among.tries) == (9, 200)
+    assert (alone.tries, among.tries) == (9 * DRAWS, 200 * DRAWS)
     assert among.log10_false_claim == pytest.approx(alone.log10_false_claim + np.log10(200 / 9))
     assert among.z_threshold > alone.z_threshold
     with pytest.raises(InputError, match="at least one"):
@@ -264,10 +264,10 @@ def test_the_rate_is_not_the_claimant_s_choice(scene: MarkedScene) -> None:
     claim = verify_model(scene.marked, plain, lax).claim
     assert (claim.verdict.value, claim.false_claim_rate, claim.rate_basis) == ("marked", 2.0**-128, "self_declared")
     camera = scene.opened.cameras[1]
-    shot = image_attack("noise_image").apply(render(scene.marked, camera), 0.25, rng=3)
+    shot = image_attack("noise_image").apply(render(scene.marked, camera), 0.2, rng=3)
     weak = [verify_images([shot], opened, cameras=[camera]).claim for opened in (scene.opened, plain)]
     assert weak[0].z == weak[1].z
-    assert 6.6 < weak[0].z < 13.3
+    assert 8.6 < weak[0].z < 13.3
     assert [claim.verdict.value for claim in weak] == ["marked", "inconclusive"]
     assert [claim.would_be_claim_if_attested for claim in weak] == [False, True]
     stamped = replace(scene.opened, attested=Attested("2026-03-01T00:00:00+00:00", "a time-stamping service"))

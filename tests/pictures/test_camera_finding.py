@@ -12,7 +12,7 @@ from engine.errors import InputError
 from engine.kernels.thread_crew import use_threads
 from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.similarity import mirror_model
-from engine.pictures.camera import keypoint_cameras
+from engine.pictures.camera import camera_proposals, keypoint_cameras
 from engine.pictures.camera.camera_motion import normalized, project
 from engine.pictures.camera.camera_search import find_camera
 from engine.pictures.camera.camera_trial import Picture
@@ -274,7 +274,12 @@ def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel, monk
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     tiles = np.random.default_rng(0).random((9, 12, 3)).astype(np.float32)
     far = FarViews(plant, [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)])
-    assert find_camera(none, plant, np.kron(tiles, np.ones((40, 40, 1), np.float32)), far=lambda: far) is None
+    picture = np.kron(tiles, np.ones((40, 40, 1), np.float32))
+    assert find_camera(none, plant, picture, far=lambda: far) is None
+    assert not sizes, "nothing fits"
+    edges = replace(CONFIG.edges, least_score=0.0)
+    monkeypatch.setattr(camera_proposals, "CONFIG", replace(CONFIG, edges=edges))
+    assert find_camera(none, plant, picture, far=lambda: far) is None
     assert set(sizes) == {256, 640}
     assert sizes.count(640) < sizes.count(256)
 

@@ -12,9 +12,13 @@ from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.pictures.camera.camera_motion import moved, project
+from engine.pictures.camera.camera_proposals import Candidates
+from engine.pictures.camera.camera_trial import Picture
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, Window, keypoints_of, match_closer, match_near
+from engine.pictures.camera.pose_ransac import Hypothesis
 from engine.pictures.landmarks.keypoints import luma
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render_depth
 
@@ -115,3 +119,18 @@ def test_a_camera_that_enough_agree_on_is_tried_before_another_is_sought(
     assert len(asked) == 1
     assert next(found).support >= CONFIG.keypoints.least_inliers
     assert len(asked) == len(look.matches) == 2
+
+
+@pytest.mark.parametrize(
+    ("support", "lenses"), [(CONFIG.keypoints.least_freed - 1, 0), (CONFIG.keypoints.least_freed, 2)]
+)
+def test_few_keypoints_say_little_of_the_lens(
+    plant: GaussianModel, monkeypatch: pytest.MonkeyPatch, support: int, lenses: int
+) -> None:
+    start = Hypothesis(make_rig(plant, 1, 320, 240)[0], np.ones(support, np.bool_), 1.0)
+    monkeypatch.setattr(MatchedKeypoints, "hypotheses", lambda *asked: iter([start]))
+    monkeypatch.setattr(MatchedKeypoints, "at_other_focals", lambda *asked: iter([start] * 2))
+    monkeypatch.setattr(Candidates, "_closer", lambda *asked: None)
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    picture = Picture(plant, render_depth(plant, start.camera)[0])
+    assert len(list(Candidates(picture, none, (), ()).by_keypoints(False))) == 1 + lenses

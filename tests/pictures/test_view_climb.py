@@ -124,6 +124,17 @@ def test_parts_are_looked_at_where_nothing_fits(plant: GaussianModel, monkeypatc
     assert "parts" not in vars(fitting), "what fits is enough"
 
 
+def test_what_hardly_fits_is_not_looked_at(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = around(plant, 40.0, 25.0, 6.0)
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    scores = [CONFIG.edges.least_score + excess for excess in (5.0, 0.1, -0.1)]
+    monkeypatch.setattr(camera_proposals, "climb", lambda *asked: [Climbed(score, camera, 0) for score in scores])
+    looked: list[Camera] = []
+    monkeypatch.setattr(Candidates, "_closer", lambda self, camera, mirrored: looked.append(camera))
+    candidates = Candidates(Picture(plant, photographed(plant, camera)), none, (), ())
+    assert len(list(candidates.by_edges(FarViews(plant, [])))) == len(looked) == 2
+
+
 def test_colours_tell_what_edges_do_not(plant: GaussianModel) -> None:
     """The same edges in a picture whose colours are shuffled; a tone curve hardly matters."""
     camera = around(plant, 40.0, 25.0, 6.0).with_side(SIDE)

@@ -17,7 +17,7 @@ from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.rates import DRAWS, Attested, applicable_rate
 from engine.watermark.spreading import Spreading
-from engine.watermark.statistics import z_threshold
+from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
 SEED = bytes(range(32))
 CHIPS, BITS = 4096, 32
@@ -91,11 +91,11 @@ def test_evidence_between_the_two_rates_would_be_a_claim() -> None:
 
 def test_requests_to_who_drew_are_hypotheses_of_the_claim_and_not_of_the_copy() -> None:
     attested = Attested("2026-01-01", "x", drawn=True)
-    plain = claim(0.2, config=ClaimConfig.at(applicable_rate(1e-9, replace(attested, tries=1))), copy_z=7.5)
+    plain = claim(0.2, config=ClaimConfig.at(applicable_rate(1e-9, None)), copy_z=7.5)
     drawn = claim(0.2, config=ClaimConfig.at(applicable_rate(1e-9, attested)), copy_z=7.5)
     assert drawn.tries == DRAWS * plain.tries
     assert drawn.log10_false_claim == pytest.approx(plain.log10_false_claim + math.log10(DRAWS))
-    assert drawn.z_threshold > plain.z_threshold
+    assert drawn.z_threshold == pytest.approx(z_threshold(CHANCE_RATE, drawn.tries))
     assert drawn.copy_named == plain.copy_named
     assert drawn.copy_named
     weak = [claim(0.15, config=ClaimConfig.at(applicable_rate(1e-9, each))) for each in (None, attested)]

@@ -113,7 +113,7 @@ def _sights(original: Groundwork, config: EmbedConfig) -> tuple[Target | None, C
         return None, worst_psnr_against(original.views.images, original.cameras)
     others = [fitted.pop(k) for k in np.linspace(len(fitted) - 1, 0, held).astype(int)]
     images = [*original.views.images, *(render(model, camera) for camera in others)]
-    return Target.of(model, fitted), worst_psnr_against(images, [*original.cameras, *others])
+    return Target.of(model, fitted, config.device), worst_psnr_against(images, [*original.cameras, *others])
 
 
 def _seen_by_others(original: Groundwork) -> Target:

@@ -35,6 +35,7 @@ from engine.flows.views.view_set import SeenView, psnr_by_view
 from engine.model import GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json, Report
+from engine.raster.cuda import draws_alike, find_device
 from engine.records.record import Plan, Record
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
@@ -60,6 +61,7 @@ class EmbedReport(Report):
     picture_bits: int  # that one picture carries
     chips: int  # of the tint
     grain: Grain
+    device: str  # "cuda" where a GPU fitted what pruning left, or refined
     choice: ChoiceReport | None  # where the settings were left open
     pruned: Pruned
     seconds: float
@@ -153,13 +155,14 @@ def _prepare(
     model: GaussianModel, key: OwnerKey, original_sha256: str, terms: MarkTerms, copied: bool, clock: Clock
 ) -> Asset:
     """Everything up to the recipient's own part."""
-    config, variant = terms.config, terms.variant
+    config, variant = terms.config or EmbedConfig(), terms.variant
     choice: Choice | None = None
     if isinstance(config, Auto) and terms.earlier is not None and is_copy_of(terms.earlier, original_sha256, key):
         config = config.as_earlier(EmbedConfig.from_json(terms.earlier.extra["settings"]))
     if isinstance(config, Auto) and variant.at_view is not None:
         raise InputError("a variant that moves is not rehearsed: name its settings instead of 'auto'")
-    start = config.start if isinstance(config, Auto) else config or EmbedConfig()
+    config = _on_device(config, model, key, original_sha256, terms)
+    start = config.start if isinstance(config, Auto) else config
     variant.check(model, keeps_rows=start.keeps_rows, refines=start.refine.steps > 0)
     if isinstance(config, Auto):
         with clock.stage("choose"):  # 0
@@ -180,6 +183,31 @@ def _prepare(
         known = None if terms.earlier is None else known_landmarks(terms.earlier, digest, settings)
         bank = bank_of(draft.delivery.model, original.extent, settings, clock, known)
     return Asset(original, original_sha256, terms, settings, choice, draft, bank)
+
+
+def _on_device(
+    config: EmbedConfig | Auto, model: GaussianModel, key: OwnerKey, original_sha256: str, terms: MarkTerms
+) -> EmbedConfig | Auto:
+    """The settings with what will fit: the CPU where nothing is fitted, or where a GPU would draw other pictures.
+
+    InputError where a GPU is wanted and there is none; or where a further copy would need the fit of an earlier one
+    again, of which a GPU is not capable.
+    """
+    start = config.start if isinstance(config, Auto) else config
+    fits = (start.recovers or start.refine.steps > 0) and draws_alike(model, terms.cameras or ())
+    device = start.device if fits else "cpu"
+    if terms.earlier is None or not start.recovers or not is_copy_of(terms.earlier, original_sha256, key):
+        device = find_device(device)
+    elif terms.earlier.extra["settings"].get("device") == "cuda" or find_device(device) == "cuda":
+        raise InputError(
+            f"a fit on a GPU never comes out twice the same, so copy {terms.earlier.copy!r} and a further one would "
+            "have two watermarks of yours, which anyone finds who compares the files: mark all copies in one command, "
+            "or all of them with device 'cpu'"
+        )
+    else:
+        device = "cpu"
+    start = replace(start, device=device)
+    return replace(config, start=start) if isinstance(config, Auto) else start
 
 
 @one_blas_thread
@@ -234,6 +262,7 @@ def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
         picture_bits=owner.pictured,
         chips=plan.layout.chips,
         grain=owner.settled.grain,
+        device=settings.device,
         choice=None if asset.choice is None else asset.choice.report(),
         pruned=delivery.pruned,
         seconds=clock.total,

@@ -55,7 +55,7 @@ class Groundwork:
         if self.config.output == "compact":
             fewer = CONFIG.plan.compact
             config = replace(config, cells=config.cells // fewer, min_members=config.min_members * fewer)
-        elif self.config.thins and self.config.prune.recover:  # few are left, and the key joins as many cells of them
+        elif self.config.recovers:  # few are left, and the key joins as many cells of them
             config = replace(config, min_members=1)
         return own or quantize(self.model, self.colors, self.extent.radius, config, self._coarse)
 

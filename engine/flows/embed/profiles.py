@@ -9,6 +9,7 @@ from engine.compress.hvq import HvqConfig
 from engine.compress.pruning import PruneConfig
 from engine.errors import InputError
 from engine.numerics.plain import Json
+from engine.raster.cuda import DEVICES, find_device
 from engine.watermark.planning import PlanConfig
 
 
@@ -63,6 +64,9 @@ class EmbedConfig:
     view_size: int = 800  # side of a key view, pixels
     # Views of the landmark bank by which the camera of a screenshot is found, fewer of flat ground; 0 leaves it out
     landmark_views: int = 48
+    # Draws what is fitted, one of DEVICES: what pruning leaves, and what is refined. On a GPU it never comes out twice
+    # the same
+    device: str = "cpu"
     # Knobs of those stages
     quantize: HvqConfig = field(default_factory=HvqConfig)
     prune: PruneConfig = field(default_factory=PruneConfig)
@@ -77,6 +81,8 @@ class EmbedConfig:
             raise InputError(f"psnr must lie between 20 and 90 dB, got {self.psnr_db}")
         if self.prune.budget_db is not None and not 15.0 <= self.prune.budget_db <= 80.0:
             raise InputError(f"budget must lie between 15 and 80 dB or be 'none', got {self.prune.budget_db}")
+        if self.device not in DEVICES:
+            raise InputError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
 
     @property
     def keeps_rows(self) -> bool:
@@ -88,9 +94,17 @@ class EmbedConfig:
         """Whether Gaussians are taken away, or split."""
         return self.prune.budget_db is not None or self.paper.tau_base > 0 or self.paper.densify > 0
 
+    @property
+    def recovers(self) -> bool:
+        """Whether what is left is fitted, which decides what a mark refers to."""
+        return self.thins and self.prune.recover
+
     def to_json(self) -> Json:
-        """As a record holds it: what the paper does is named where it is done, and recovery where something goes."""
+        """As a record holds it: what the paper does is named where it is done, recovery where something goes, and a GPU
+        where one fitted."""
         plain = asdict(self)
+        if self.device == "cpu":
+            del plain["device"]
         if self.keeps_rows:
             del plain["prune"]["recover"]
         if self.paper == PaperConfig():
@@ -204,20 +218,23 @@ def compose(
     output: str | None = None,
     budget_db: float | None = None,
     survive: str | None = None,
+    device: str | None = None,
     knobs: Sequence[str] = (),
 ) -> Settings:
     """A named profile, or `auto`, with what an owner wants changed; None leaves the profile's own.
 
-    `survive` is for `auto`, see SURVIVE. `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs
-    config show` lists.
+    `survive` is for `auto`, see SURVIVE. `device` is one of DEVICES: InputError where it is a GPU and there is none.
+    `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
     """
     wanted = {"psnr_db": psnr_db, "output": output}
     changes: Json = {knob: value for knob, value in wanted.items() if value is not None}
     config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
     if budget_db is not None:
         config = replace(config, prune=replace(config.prune, budget_db=budget_db))
+    config = replace(config, device=device or config.device)
     for knob in knobs:
         config = _turned(config, *knob.partition("=")[::2])
+    config = replace(config, device=find_device(config.device))
     if name != AUTO:
         if survive is not None:
             raise InputError(f"profile {name!r} chooses nothing: survive is for {AUTO!r}")

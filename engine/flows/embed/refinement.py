@@ -28,6 +28,7 @@ from engine.flows.embed.profiles import RefineConfig
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
 from engine.numerics.wavelet import coefficient_detail, dwt2
 from engine.raster import View, prepare_view, sh_colors
+from engine.raster.cuda import CudaView
 from engine.watermark.layout import Layout
 
 
@@ -35,7 +36,7 @@ class _Blend(torch.autograd.Function):
     """Image of colours under frozen geometry: linear, with the rasterizer's exact VJP."""
 
     @staticmethod
-    def forward(ctx: Any, colors: Tensor, view: View) -> Tensor:
+    def forward(ctx: Any, colors: Tensor, view: View | CudaView) -> Tensor:
         ctx.view = view
         return torch.from_numpy(view.render(colors.detach().numpy())[0])
 
@@ -49,7 +50,7 @@ class _Pull(torch.autograd.Function):
     """The adjoint: per-Gaussian sums of a residual image; its own derivative is a render."""
 
     @staticmethod
-    def forward(ctx: Any, residual: Tensor, view: View) -> Tensor:
+    def forward(ctx: Any, residual: Tensor, view: View | CudaView) -> Tensor:
         ctx.view = view
         return torch.from_numpy(view.backward_colors(np.ascontiguousarray(residual.detach().numpy())))
 
@@ -58,8 +59,8 @@ class _Pull(torch.autograd.Function):
         return torch.from_numpy(ctx.view.render(np.ascontiguousarray(cotangents[0].numpy()))[0]), None
 
 
-_blend: Callable[[Tensor, View], Tensor] = _Blend.apply
-_pull: Callable[[Tensor, View], Tensor] = _Pull.apply
+_blend: Callable[[Tensor, View | CudaView], Tensor] = _Blend.apply
+_pull: Callable[[Tensor, View | CudaView], Tensor] = _Pull.apply
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +90,8 @@ def refine(
     uncertainty: Float64,
     config: RefineConfig,
     advance: Callable[[float], None],
-    seed: int = 0,
     codes: Codes | None = None,
+    device: str = "cpu",
 ) -> Float32:
     """Improve the displacement of every Gaussian's colour.
 
@@ -108,16 +109,16 @@ def refine(
         Laplace uncertainty of the DC colour; scales each Gaussian's step.
     advance : callable
         Called with the fraction done.
-    seed : int
-        Of views and distortions.
     codes : Codes, optional
         Move the layout's code vectors, from the closed form of `tint.signed` on, not the Gaussians.
+    device : str
+        "cuda" draws the views, and pulls them, on the GPU.
     """
     displacement, layout, signed, bits = tint.displacement, tint.layout, tint.signed, tint.bits
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)  # of views and distortions
     scale = config.size / max(cameras[0].width, cameras[0].height)
     small = [c.resized(max(16, round(c.width * scale)), max(16, round(c.height * scale))) for c in cameras]
-    views = [prepare_view(model, c) for c in small]
+    views = [CudaView(model, c) if device == "cuda" else prepare_view(model, c) for c in small]
     bases = [sh_colors(model.sh, model.means, c.position.astype(np.float32)) for c in small]
     colors = [torch.from_numpy(base) for base in bases]
     renders = [torch.from_numpy(view.render(base)[0]) for view, base in zip(views, bases, strict=True)]
@@ -237,7 +238,8 @@ def refine_mark(
         uncertainty(ground.impact.squared),
         asset.settings.refine,
         advance,
-        codes=codes,
+        codes,
+        asset.settings.device,
     )
     again = solve_strength(views, displacement, kept.psnr_db, kept.ssim, 1.0)
     marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement + mark.copied))

@@ -25,6 +25,7 @@ from engine.watermark.config import CONFIG
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import Evidence
+from engine.watermark.rates import DRAWS
 from engine.watermark.regions import Partition, RegionConfig, Regions, State, divide, judge_regions
 from engine.watermark.statistics import log10_false_claim_bound
 
@@ -117,6 +118,8 @@ def locate_mark(
         said.append((None, [each for each in (reading.evidence, reading.scattered) if each is not None]))
     leaves = divide(opened.layout, opened.reference.means, config.most)
     tries = found.claim.tries * len(said)
+    # Regions are rated against chance alone: that records may have been tried out is for the claim to count
+    by_chance = tries // DRAWS if found.claim.rate_basis == "drawn" else tries
     pieces = []
     for registered, evidence in said:
         spreading = opened.spreading_of(len(evidence[0].y))
@@ -128,7 +131,7 @@ def locate_mark(
         else:
             label = opened.layout.labels[0]
             seen = (np.bincount(label, held) > 0)[label]
-        regions = judge_regions(evidence, signs, leaves, tint, tries=tries, found=held, config=config)
+        regions = judge_regions(evidence, signs, leaves, tint, tries=by_chance, found=held, config=config)
         pieces.append(FoundPiece(registered, regions, seen, z, log10_false_claim_bound(z, tries)))
     claimed = found.claim.verdict == "marked"
     return RegionReport(tuple(pieces), config.false_discoveries, *size, claimed)

@@ -9,7 +9,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.options import Json
+from engine.cli.options import Device, Json
 from engine.errors import InputError, Mark3DGSError
 from engine.lab.cli.shared import Seed, shipped_scene
 
@@ -72,6 +72,7 @@ def evaluate(
     list_all: Annotated[
         bool, typer.Option("--list", callback=_list_suites, is_eager=True, help="List all suites.")
     ] = False,
+    device: Device = "cpu",
     seed: Seed = 0,
     json: Json = False,
 ) -> int:
@@ -96,6 +97,7 @@ def evaluate(
     from engine.lab.evaluate.report import cell_text, write_report
     from engine.lab.evaluate.study import Options
     from engine.lab.evaluate.suites import find_study
+    from engine.raster.cuda import find_device
 
     study = find_study(suite)
     if out is None and suite not in MEASUREMENTS:
@@ -106,6 +108,7 @@ def evaluate(
         "profile": profile,
         "trials": trials,
         "methods": tuple(method) if method else None,
+        "device": None if device == "cpu" else find_device(device),
         "lpips_weights": None if lpips_weights is None else str(lpips_weights),
     }
     common = Options(_scenes(scene), seed=seed)

@@ -71,6 +71,7 @@ MEASUREMENTS = {
     "budgets": Measurement(
         "Gaussians, bytes, seconds, dB and z for pruning budgets and compact output, without and with recovery",
         "marking:measure_budgets",
+        ("profile", "device"),
     ),
     "promises": Measurement(
         "what profile auto promises of one JPEG-10 picture and what three show, CPU seconds beside fast and balanced",

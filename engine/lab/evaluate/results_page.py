@@ -1,4 +1,5 @@
-"""docs/RESULTS.md from the numbers in docs/results: `python -m engine.lab.evaluate.results_page FOLDER PAGE`.
+"""docs/RESULTS.md and what the annex of a claim shows, from the numbers in docs/results:
+`python -m engine.lab.evaluate.results_page FOLDER PAGE ANNEX`.
 
 A file of the folder is one result, a table with the command that measured it; the fields are those of `Result`. Files
 are shown in the order of their names. The misses of all of them come first.
@@ -6,37 +7,40 @@ are shown in the order of their names. The misses of all of them come first.
 
 import json
 import sys
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
 
-__all__ = ["Bar", "Result", "draw_page", "main", "read_results"]
+__all__ = ["Bar", "Result", "draw_page", "error_rates", "main", "read_results"]
 
 UNKNOWN = "not recorded"
 """For a seed, machine or commit that was not written down when the numbers were measured."""
 
 HEAD = """# Results
-Current numbers only. This page is written by `python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md`
-from the files in [results](results); edit those. What earlier versions measured is in [history](history), the paper's
-numbers next to ours in [PAPER.md](PAPER.md).
+Current numbers only. This page is written by `python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md
+service/claims/error_rates.json` from the files in [results](results); edit those. What earlier versions measured is in
+[history](history), the paper's numbers next to ours in [PAPER.md](PAPER.md).
 
 Detection is **informed** throughout: it uses the owner's record, which holds the unmarked original. Blind methods solve
-a harder problem. z is the detection score: a claim needs z 6.7 at 1 in 10^9 and z 13.6 at 1 in 2^128, or a little more
-where more hypotheses are tested (z 8.5 at 1 in 10^9 where a time-stamping service drew). Scenes are captures of 90,000
+a harder problem. z is the detection score: a claim needs z 13.6 at 1 in 2^128 and, where a time-stamping
+service drew, z 8.5 at 1 in 10^9; a little more where more hypotheses are tested. Scenes are captures of 90,000
 to 524,000 Gaussians; the plant alone ships here. Where a result says "script not kept", no command of this repository
-repeats it. Unless a result names format 3, it was measured with records of format 2, before copies shared a layer.
+repeats it. Results of commits before c8649895 were measured with records of format 2, before copies shared a layer,
+unless they name format 3.
 """
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What was required, what was measured, and whether that meets it."""
+    """What was required, what was measured, whether that meets it, and whether it is about errors of claims."""
 
     bar: str
     measured: str
     met: bool
+    rate: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,8 @@ class Result:
     columns : tuple of str
     rows : tuple of tuple of str
         Each as long as `columns`.
+    tested : str
+        Scenes, keys and suspects of a result that the annex of a claim shows; "" for others.
     bars : tuple of Bar
     notes : tuple of str
         What the reader must know besides the numbers, one sentence or two each.
@@ -68,6 +74,7 @@ class Result:
     commit: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    tested: str = ""
     bars: tuple[Bar, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -77,15 +84,15 @@ class Result:
                 raise InputError(f"{self.what}: a row has {len(row)} cells, expected {len(self.columns)}: {row}")
 
 
-def read_results(folder: Path) -> list[Result]:
-    """All results of a folder, in the order of their files' names.
+def read_results(folder: Path) -> dict[str, Result]:
+    """All results of a folder, by their files' names without the ending, and in their order.
 
     Raises
     ------
     InputError
         If the folder holds no results, or a file has a missing or unknown field or a row of another length.
     """
-    results = [_read(path) for path in sorted(folder.glob("*.json"))]
+    results = {path.stem: _read(path) for path in sorted(folder.glob("*.json"))}
     if not results:
         raise InputError(f"{folder}: no results")
     return results
@@ -96,7 +103,7 @@ def _read(path: Path) -> Result:
     known = {field.name for field in fields(Result)}
     if unknown := sorted(set(entries) - known):
         raise InputError(f"{path}: unknown fields {unknown}")
-    if missing := sorted(known - {"bars", "notes"} - set(entries)):
+    if missing := sorted(known - {"tested", "bars", "notes"} - set(entries)):
         raise InputError(f"{path}: missing fields {missing}")
     entries["columns"] = tuple(entries["columns"])
     entries["rows"] = tuple(tuple(row) for row in entries["rows"])
@@ -105,12 +112,25 @@ def _read(path: Path) -> Result:
     return Result(**entries)
 
 
-def draw_page(results: list[Result]) -> str:
+def error_rates(results: Mapping[str, Result]) -> str:
+    """Results that say what was tested, by their files' names, with their bars on errors of claims: a line each."""
+    lines = []
+    for name, result in results.items():
+        if result.tested:
+            bars = [asdict(bar) for bar in result.bars if bar.rate]
+            shown = {
+                field: getattr(result, field) for field in ("what", "tested", "command", "commit", "columns", "rows")
+            }
+            lines.append(f"{json.dumps(name)}: {json.dumps(shown | {'bars': bars}, ensure_ascii=False)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def draw_page(results: Mapping[str, Result]) -> str:
     """The page in Markdown: all misses, then each table with the bars that it meets."""
-    every = [(result, bar) for result in results for bar in result.bars]
+    every = [(result, bar) for result in results.values() for bar in result.bars]
     missed = [(result, bar) for result, bar in every if not bar.met]
     lines = [HEAD, f"## Misses: {len(missed)} of {len(every)} bars", *_bars(missed), ""]
-    for result in results:
+    for result in results.values():
         lines += _section(result)
     return "\n".join(lines).rstrip() + "\n"
 
@@ -126,7 +146,8 @@ def _section(result: Result) -> list[str]:
     by = result.command if " " not in result.command else f"`{result.command}`"
     by = "Script not kept" if result.command == "script not kept" else by
     met = "; ".join(f"{bar.bar} ({bar.measured})" for bar in result.bars if bar.met)
-    said = ["; ".join([by, *known]) + ".", *([f"Bars met: {met}."] if met else []), *result.notes]
+    tested = [result.tested] if result.tested else []
+    said = ["; ".join([by, *known]) + ".", *([f"Bars met: {met}."] if met else []), *tested, *result.notes]
     return [f"## {result.what}", *_table(result.columns, result.rows), "", " ".join(said), ""]
 
 
@@ -144,13 +165,15 @@ def _anchor(title: str) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the page; exit code 2 for wrong usage or files."""
-    if len(arguments) != 2:
-        sys.stderr.write("usage: python -m engine.lab.evaluate.results_page FOLDER PAGE\n")
+    """Write both files; exit code 2 for wrong usage or files."""
+    if len(arguments) != 3:
+        sys.stderr.write("usage: python -m engine.lab.evaluate.results_page FOLDER PAGE ANNEX\n")
         return 2
-    folder, page = map(Path, arguments)
+    folder, page, annex = map(Path, arguments)
     try:
-        page.write_text(draw_page(read_results(folder)), encoding="utf-8")
+        results = read_results(folder)
+        page.write_text(draw_page(results), encoding="utf-8")
+        annex.write_text(error_rates(results), encoding="utf-8")
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2

@@ -32,6 +32,7 @@ class Options:
     settings: tuple[str, ...] = ()  # parts of the suite by name; empty: all
     profile: str = "fast"
     trials: int | None = None  # None: the suite's own number
+    device: str = "cpu"  # that fits what pruning leaves
     methods: tuple[str, ...] = ()  # under test, by name or as module:Class; empty: ours
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from engine.errors import InputError
-from engine.lab.raster import cuda
 from engine.model import Camera, GaussianModel
+from engine.raster import cuda
 from engine.raster.gradients import Rendering, backward, draw
 from engine.raster.settings import RasterSettings
 

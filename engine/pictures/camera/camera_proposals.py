@@ -77,7 +77,7 @@ class Candidates:
             closer = self._closer(start.camera, mirrored)  # landmarks agree on cameras a little off, too
             if closer is not None:
                 yield closer
-            if number == 0:
+            if number == 0 and start.support >= CONFIG.keypoints.least_freed:  # fewer say little of the lens
                 for other in matched.at_other_focals(start, self._other_focals):
                     yield Candidate(other.camera, mirrored, other.support)
 
@@ -109,7 +109,7 @@ class Candidates:
         if parts and max((each.score for each in climbed), default=0.0) < CONFIG.edges.fitting:
             nearer = climb(far.model, pictures, _starts(far.parts, pictures, CONFIG.edges.close_radii))
             climbed = sorted([*climbed, *nearer], key=lambda each: -each.score)[: CONFIG.edges.rounds[-1].kept]
-        for each in climbed:
+        for each in (one for one in climbed if one.score > CONFIG.edges.least_score):
             camera, mirrored = self._picture.full(each.camera), bool(each.picture)
             closer = self._closer(camera, mirrored)
             yield Candidate(camera, mirrored, 0) if closer is None else closer

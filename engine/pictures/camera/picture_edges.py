@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.model import Camera, Float32, Float64, Int64
 from engine.numerics.resampling import smooth
 from engine.pictures.camera.camera_motion import swung
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_points import ViewPoints, gradient
-from engine.pictures.camera.view_scores import BINS, PAD, SIDE, look_again
+from engine.pictures.camera.view_scores import BINS, PAD, SIDE, folded, look_again
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,32 +37,37 @@ class PictureEdges:
         return cls(np.asarray(small, dtype=np.float32))
 
     @cached_property
-    def maps(self) -> tuple[Float32, Float32]:
-        """Responses for each direction of an edge, split for steps of two pixels, and of four; see `apart`."""
-        maps, _ = _responses(self.small, CONFIG.edges.off)
-        return apart(maps, 2), apart(maps, 4)
+    def maps(self) -> npt.NDArray[np.int16]:
+        """Responses for each direction of an edge, `folded`."""
+        return folded(_responses(self._soft, CONFIG.edges.off))
 
     @cached_property
-    def _near(self) -> tuple[Float32, Float32]:
-        return _responses(self.small, CONFIG.edges.off_again)
+    def _near(self) -> Float32:
+        return np.pad(_responses(self._soft, CONFIG.edges.off_again), [(0, 0), (PAD, PAD), (PAD, PAD)])
 
     @cached_property
     def _soft(self) -> Float32:
         return smooth(self.small, CONFIG.edges.soft)
 
-    def scored(self, views: Sequence[ViewPoints], which: Int64, starts: Float64) -> tuple[Float32, Float64]:
-        """How well views fit near where they are thought to be: scores (F,) and the poses (F, 4) that fit best.
+    def placed(self, views: Sequence[ViewPoints], which: Int64, starts: Float64, steps: int) -> Float64:
+        """Poses near those where views are thought to be at which edges fit best, and how well: (F, 5).
 
         `which` (F,) of the views it is, and its pose `starts` (F, 4): roll, radians; size, pixels; x, y of its middle,
-        pixels of the small picture. A pose may be better by 7.5 degrees, 11 % and 2 pixels.
+        pixels of the small picture. The best may be 2 pixels off, and so many steps of 3.75 degrees and of 5.5 %.
         """
-        scores, poses = np.empty(len(which), dtype=np.float32), np.zeros((len(which), 4))
-        sharp, inside = self._near
+        finds, size = np.zeros((len(which), 5)), np.array(self.small.shape[:2])
         edges, directions = (stacked(views, name) for name in ("edges", "directions"))
         # One kernel for a column of finds and for views in a row.
-        look_again(sharp, inside, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
-        scores *= (poses[:, 1] / SIDE).astype(np.float32) ** np.float32(CONFIG.edges.larger)
-        return scores + np.float32(CONFIG.edges.colored) * self._colored(views, which, poses), poses
+        look_again(self._near, size, edges, directions, np.ascontiguousarray(which), starts, steps, finds)
+        finds[:, 4] *= (finds[:, 1] / SIDE) ** CONFIG.edges.larger
+        return finds
+
+    def scored(self, views: Sequence[ViewPoints], which: Int64, starts: Float64) -> tuple[Float32, Float64]:
+        """How well views fit in edges and colors: scores (F,), and the poses (F, 4) within two steps that fit best; see
+        `placed`."""
+        finds = self.placed(views, which, starts, 2)
+        colored = self._colored(views, which, finds[:, :4])
+        return finds[:, 4].astype(np.float32) + np.float32(CONFIG.edges.colored) * colored, finds[:, :4]
 
     def _colored(self, views: Sequence[ViewPoints], which: Int64, poses: Float64) -> Float32:
         """(F,) Fisher's transform of the correlation of colours, each channel from its own mean."""
@@ -95,29 +101,17 @@ def stacked(views: Sequence[ViewPoints], name: str) -> Float32:
     return np.stack([getattr(view, name) for view in views])
 
 
-def apart(maps: Float32, step: int) -> Float32:
-    """(BINS, step, step, h / step, w / step) of maps (BINS, h, w): every `step`-th row and column together."""
-    bins, height, width = maps.shape
-    grid = maps.reshape(bins, height // step, step, width // step, step)
-    return np.ascontiguousarray(grid.transpose(0, 2, 4, 1, 3))
-
-
-def _responses(picture: Float32, reach: int) -> tuple[Float32, Float32]:
-    """What the picture says for each direction of an edge at each place, and 1 inside it: (BINS, h, w) and (h, w),
-    padded by `PAD` pixels or up to three more."""
+def _responses(soft: Float32, reach: int) -> Float32:
+    """(BINS, h, w) what a blurred picture says for each direction of an edge at each place."""
     import cv2
 
-    size, *steps = gradient(picture)
+    size, *steps = gradient(soft)
     turns = np.arctan2(*steps)
     weight = size / (size + 0.5 * np.quantile(size, 0.8) + 0.004)
-    height, width = size.shape
-    maps = np.zeros((BINS, height + -height % 4 + 2 * PAD, width + -width % 4 + 2 * PAD), dtype=np.float32)
-    inside = np.zeros(maps.shape[1:], dtype=np.float32)
-    inner = (slice(PAD, PAD + height), slice(PAD, PAD + width))
+    maps = np.empty((BINS, *size.shape), dtype=np.float32)
     window = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     for b in range(BINS):
         alike = np.maximum(np.cos(2.0 * (turns - np.pi * b / BINS)), 0.0)
         spread = cv2.dilate(np.asarray(weight * alike * alike, dtype=np.float32), window)
-        maps[b][inner] = (spread - spread.mean()) / max(float(spread.std()), 1e-3)
-    inside[inner] = 1.0
-    return maps, inside
+        maps[b] = (spread - spread.mean()) / max(float(spread.std()), 1e-3)
+    return maps

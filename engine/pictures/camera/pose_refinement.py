@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
@@ -28,9 +28,17 @@ from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved
 from engine.pictures.camera.config import CONFIG
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import RasterSettings, render_depth
+from engine.raster.lane_ir import LANES
+from engine.raster.lane_memory import load, store
 
 _CONFIG = CONFIG.refinement
 _UNKNOWNS = PARAMETERS + 2
+# Of 16 pixels: columns and the residual, flow across and down, both weights; and how many sums of their products.
+_FLOWS = (_UNKNOWNS + 1) * LANES
+_WEIGHTS = _FLOWS + 2 * PARAMETERS * LANES
+_BLOCK = _WEIGHTS + 2 * LANES
+_PRODUCTS = _UNKNOWNS * (_UNKNOWNS + 3) // 2
+_SUMS = _PRODUCTS + PARAMETERS * (PARAMETERS + 1) // 2
 
 
 DEFAULT_SETTINGS = RasterSettings()
@@ -76,37 +84,63 @@ class Refined:
         return -0.5 * self.pixels * float(np.log(max(1.0 - max(self.correlation, 0.0) ** 2, 1e-9)))
 
 
+@inlined
+def _add_products(block, sums):
+    """Adds the products of 16 pixels' columns, and of their flows, each weighted, to `sums`: upper triangles."""
+    at = 0
+    for k in range(_UNKNOWNS):
+        weighted = load(block, _WEIGHTS) * load(block, k * LANES)
+        for l in range(k, _UNKNOWNS + 1):
+            store(sums, at, load(sums, at) + weighted * load(block, l * LANES))
+            at += LANES
+    for k in range(PARAMETERS):
+        weight = load(block, _WEIGHTS + LANES)
+        across, down = weight * load(block, _FLOWS + k * LANES), weight * load(block, _FLOWS + (PARAMETERS + k) * LANES)
+        for l in range(k, PARAMETERS):
+            both = across * load(block, _FLOWS + l * LANES) + down * load(block, _FLOWS + (PARAMETERS + l) * LANES)
+            store(sums, at, load(sums, at) + both)
+            at += LANES
+
+
 @parallel_kernel
-def _normal_equations(base, cover, residual, gx, gy, depth, weight, K, spread, room, rows, flows, call):
-    """Adds up each row of pixels in `rows` and `flows`, which hold zeros; `room` is scratch."""
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, K, spread, room, rows, call):
+    """The sums of each row of pixels, to `rows` (height, _SUMS); `room` is scratch."""
     height, width = base.shape
-    column, u, v = room[call[0], 0], room[call[0], 1], room[call[0], 2]
+    block, sums = room[call[0], :_BLOCK], room[call[0], _BLOCK:]
+    block[:] = np.float32(0.0)
     fx, skew, fy = K[0, 0], K[0, 1], K[1, 1]
     for j in share_of(height, call):
+        sums[:] = np.float32(0.0)
+        filled = 0
         b = (j + 0.5 - K[1, 2]) / fy
         for i in range(width):
             if weight[j, i] <= 0.0:
                 continue
             a = (i + 0.5 - K[0, 2] - skew * b) / fx
             near = 1.0 / depth[j, i]
-            u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
-            v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
-            u[7], u[8], u[9], u[10] = 1.0, 0.0, a, b
-            v[7], v[8], v[9], v[10] = 0.0, 1.0, 0.0, 0.0
+            u = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a, 1.0, 0.0, a, b
+            v = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b, 0.0, 1.0, 0.0, 0.0
             for k in range(PARAMETERS):
-                u[k], v[k] = fx * u[k] + skew * v[k], fy * v[k]
-                column[k] = -(gx[j, i] * u[k] + gy[j, i] * v[k])
-            column[PARAMETERS] = base[j, i]
-            column[PARAMETERS + 1] = cover[j, i]
-            r = residual[j, i]
-            w = weight[j, i] / (1.0 + (r / spread) ** 2)
-            for k in range(PARAMETERS + 2):
-                for l in range(k, PARAMETERS + 2):
-                    rows[j, k, l] += w * column[k] * column[l]
-                rows[j, k, PARAMETERS + 2] += w * column[k] * r
-            for k in range(PARAMETERS):
-                for l in range(k, PARAMETERS):
-                    flows[j, k, l] += weight[j, i] * (u[k] * u[l] + v[k] * v[l])
+                across, down = fx * u[k] + skew * v[k], fy * v[k]
+                block[k * LANES + filled] = -(gx[j, i] * across + gy[j, i] * down)
+                block[_FLOWS + k * LANES + filled] = across
+                block[_FLOWS + (PARAMETERS + k) * LANES + filled] = down
+            block[PARAMETERS * LANES + filled] = base[j, i]
+            block[(PARAMETERS + 1) * LANES + filled] = cover[j, i]
+            block[_UNKNOWNS * LANES + filled] = residual[j, i]
+            block[_WEIGHTS + filled] = weight[j, i] / (1.0 + (residual[j, i] / spread) ** 2)
+            block[_WEIGHTS + LANES + filled] = weight[j, i]
+            filled += 1
+            if filled == LANES:
+                _add_products(block, sums)
+                filled = 0
+        block[_WEIGHTS + filled : _WEIGHTS + LANES] = np.float32(0.0)
+        block[_WEIGHTS + LANES + filled : _BLOCK] = np.float32(0.0)
+        _add_products(block, sums)
+        for k in range(_SUMS):
+            rows[j, k] = 0.0
+            for lane in range(LANES):
+                rows[j, k] += sums[k * LANES + lane]
 
 
 def refine_level(
@@ -153,8 +187,7 @@ def refine_level(
         gy, gx = np.gradient(toned)
         by, bx = np.gradient(cover)
         gy, gx = gy - by * behind, gx - bx * behind
-        rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
-        flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
+        rows = np.empty((camera.height, _SUMS))
         _normal_equations(
             base,
             cover,
@@ -165,14 +198,13 @@ def refine_level(
             weight,
             camera.K,
             outlying,
-            np.empty((thread_count(), 3, _UNKNOWNS)),
+            np.empty((thread_count(), _BLOCK + _SUMS * LANES), dtype=np.float32),
             rows,
-            flows,
         )
-        system = rows.sum(axis=0)
+        system, flow = _triangles(rows.sum(axis=0))
         damping = max(_CONFIG.damping, _CONFIG.first_damping * 0.5**iteration if free > CENTERED else 0.0)
         motion, brightness = _solve(system, free, damping)
-        flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
+        flow = _symmetric(flow) / max(float(weight.sum()), 1e-12)
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
             return None
@@ -243,6 +275,14 @@ def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
     """(H, W) how far a pixel shows the model and nothing else."""
     usable = (alpha > _CONFIG.least_alpha) & (depth > 0) & (seen < _CONFIG.clipped)
     return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
+
+
+def _triangles(sums: Float64) -> tuple[Float64, Float64]:
+    """The upper triangles of what `_normal_equations` adds up: columns by columns and residual, flows by flows."""
+    system, flow = np.zeros((_UNKNOWNS, _UNKNOWNS + 1)), np.zeros((PARAMETERS, PARAMETERS))
+    system[np.triu_indices(_UNKNOWNS, m=_UNKNOWNS + 1)] = sums[:_PRODUCTS]
+    flow[np.triu_indices(PARAMETERS)] = sums[_PRODUCTS:]
+    return system, flow
 
 
 def _symmetric(upper: Float64) -> Float64:

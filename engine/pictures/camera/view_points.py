@@ -35,8 +35,8 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
     import cv2
 
     image, alpha, depth = render_depth(model, camera)
-    image = np.clip(image, 0.0, 1.0)
-    points, turns = _edge_points(image, alpha)
+    soft = smooth(np.minimum(image, 1.0), _CONFIG.soft)
+    points, turns = _edge_points(soft, alpha)
     solid = np.flatnonzero(cv2.erode(alpha, np.ones((3, 3), dtype=np.uint8)) > _CONFIG.solid)
     if len(points) < _CONFIG.points // 2 or not len(solid):
         return None
@@ -52,7 +52,7 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
         ((points - middle) / spread)[filled].astype(np.float32),
         turns[filled],
         ((inner - middle) / spread).astype(np.float32),
-        smooth(image, _CONFIG.soft)[rows, columns],
+        soft[rows, columns],
         middle,
         spread,
         float(np.median(depth.ravel()[solid])),
@@ -61,22 +61,29 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
 
 def gradient(image: Float32) -> tuple[Float32, Float32, Float32]:
     """(H, W) size of the steepest channel's gradient of an image (H, W, C), and its steps down and across."""
-    gy, gx = np.gradient(smooth(image, 1.0).reshape(image.shape), axis=(0, 1))
+    import cv2
+
+    across, down = (
+        cv2.split(cv2.Sobel(image, cv2.CV_32F, step, 1 - step, ksize=1, scale=0.5, borderType=cv2.BORDER_REPLICATE))
+        for step in (1, 0)
+    )
+    gx, gy = across[0], down[0]
     size = gx * gx + gy * gy
-    if size.shape[2] > 1:
-        best = size.argmax(axis=2)[..., None]
-        gx, gy, size = (np.take_along_axis(each, best, axis=2) for each in (gx, gy, size))
-    gx, gy, size = (each[..., 0] for each in (gx, gy, size))
-    return np.sqrt(size).astype(np.float32), gy, gx
+    for x, y in zip(across[1:], down[1:], strict=True):
+        other = x * x + y * y
+        steeper = other > size
+        for best, its in ((gx, x), (gy, y), (size, other)):
+            np.copyto(best, its, where=steeper)
+    return np.sqrt(size), gy, gx
 
 
-def _edge_points(image: Float32, alpha: Float32) -> tuple[Float64, Float32]:
-    """Points (P, 2), at most `points`, and the directions of their gradients (P,)."""
+def _edge_points(soft: Float32, alpha: Float32) -> tuple[Float64, Float32]:
+    """Points (P, 2), at most `points`, and the directions of their gradients (P,), of a blurred image."""
     import cv2
 
     solid = cv2.erode(alpha, np.ones((5, 5), dtype=np.uint8)) > 0.7
-    outline, *outline_steps = gradient(alpha[..., None])
-    within, *within_steps = gradient(image)
+    outline, *outline_steps = gradient(smooth(alpha, _CONFIG.soft)[..., None])
+    within, *within_steps = gradient(soft)
     chosen = _apart(outline * (outline > 0.1), _CONFIG.points // 2, np.zeros(alpha.shape, dtype=np.bool_))
     near = np.zeros(alpha.shape, dtype=np.bool_)
     if len(chosen):
@@ -94,7 +101,9 @@ def _apart(strength: Float32, count: int, taken: Bool) -> Int64:
     import cv2
 
     free = cv2.dilate(taken.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) == 0
-    there = np.flatnonzero(strength > 0)
-    order = there[np.argsort(-strength.ravel()[there], kind="stable")[: 20 * count]]
+    there, many = np.flatnonzero(strength > 0), 20 * count
+    if len(there) > many:  # to sort few is cheaper
+        there = np.flatnonzero(strength >= np.partition(strength.ravel(), -many)[-many])
+    order = there[np.argsort(-strength.ravel()[there], kind="stable")[:many]]
     chosen: Int64 = spread_out(strength, order, count, free, _CONFIG.apart)
     return chosen

@@ -42,24 +42,18 @@ def search_views(
     if not views:
         return []
     edges, directions, sizes = stacked(views, "edges"), stacked(views, "directions"), np.array(radii, dtype=np.float32)
-    shape = np.array(picture.small.shape[:2])
-
-    def best_places(maps: Float32, points: slice, jobs: Int64) -> tuple[Float32, Int64]:
-        scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
-        where, along = (np.ascontiguousarray(each[:, points]) for each in (edges, directions))
-        score_views(maps, where, along, jobs, sizes, shape, scores, found)
-        return scores, found
-
-    maps, coarse = picture.maps
     jobs = np.indices((len(views), ROLLS, len(radii))).reshape(3, -1).T.copy()
-    glance, _ = best_places(coarse, slice(None, None, 2), jobs)
-    jobs = jobs[np.argsort(-glance, kind="stable")[: max(_CONFIG.rescored, int(_CONFIG.promising * len(jobs)))]]
-    scores, found = best_places(maps, slice(None), jobs)
-    ranked = np.argsort(-scores, kind="stable")[: _CONFIG.rescored]
+    scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
+    few, their = (np.ascontiguousarray(each[:, ::2]) for each in (edges, directions))
+    score_views(picture.maps, few, their, jobs, sizes, np.array(picture.small.shape[:2]), scores, found)
+    ranked = np.argsort(-scores, kind="stable")[: _CONFIG.promising]
     finds, found = jobs[ranked], found[ranked]
     turns = finds[:, 1] * (2.0 * np.pi / ROLLS)
     starts = np.stack([turns, sizes[finds[:, 2]].astype(np.float64), *found.T], axis=1)
-    fine, poses = picture.scored(views, finds[:, 0], starts)
+    edges_fit = picture.placed(views, finds[:, 0], starts, 0)[:, 4]
+    best = np.argsort(-edges_fit, kind="stable")[: _CONFIG.rescored]
+    finds = finds[best]
+    fine, poses = picture.scored(views, finds[:, 0], starts[best])
     chosen = _distinct(finds[:, 0], poses, fine, count)
     return [(float(fine[k]), picture.camera(views[finds[k, 0]], poses[k])) for k in chosen]
 

@@ -7,7 +7,7 @@ import { may } from "./session.js";
 import { Viewer } from "./viewer.js";
 import { count, fileStem, when } from "./words.js";
 
-const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog", "glb"];
+const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog", "glb", "usdz"];
 const HEAVY = 1_500_000; // Gaussians; two of those are loaded on request only
 
 /** View of an asset: {element, heading, opened(), destroy()}; of one just made, `made` is the result of its job. */

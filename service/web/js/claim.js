@@ -104,6 +104,7 @@ function files(claim) {
     h("div", { class: "row" },
       button("Open the full report", () => open(`${path}/report`), "primary"),
       button("Download the report", () => download(`${path}/report`, `${claim.claim_id}.html`)),
+      button("Open the error rates", () => open(`${path}/annex`)),
       button("Download the signed claim", () => download(`${path}.jws`, `${claim.claim_id}.jws`))),
     h("p", { class: "help" }, "The signed claim can be checked offline, with the ",
       h("a", { href: "/.well-known/jwks.json", download: "jwks.json" }, "public signing keys"), ": ",

@@ -51,12 +51,12 @@ def test_a_faulty_file_is_refused(changes: dict[str, Any], tmp_path: Path) -> No
 def test_an_empty_folder_is_refused_and_leaves_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.md"
     page.write_text("old")
-    assert main([str(tmp_path), str(page)]) == 2
+    assert main([str(tmp_path), str(page), str(tmp_path / "rates.json")]) == 2
     assert page.read_text() == "old"
     assert str(tmp_path) in capsys.readouterr().err
 
 
 def test_the_committed_page_is_what_its_files_give(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    assert main([str(DOCS / "results"), str(page)]) == 0
+    assert main([str(DOCS / "results"), str(page), str(tmp_path / "rates.json")]) == 0
     assert page.read_text(encoding="utf-8") == (DOCS / "RESULTS.md").read_text(encoding="utf-8")

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from engine.errors import InputError
+from engine.flows.embed.profiles import EmbedConfig
 from engine.lab.evaluate.measurements import MEASUREMENTS
 from engine.lab.evaluate.study import Cell, Options
 from engine.lab.evaluate.suites import PROTOCOLS, STUDIES, find_study, summaries
@@ -47,6 +48,16 @@ def test_scenes_stand_alone_together_or_beside_another() -> None:
     assert [cell.arguments["scenes"] for cell in cells_of("screening")] == [list(SCENES)]
     assert [cell.arguments["other"] for cell in cells_of("screenshots")] == ["b/plant.splat", "a/plant.splat"]
     assert cells_of("screenshots", SCENES[:1])[0].arguments["other"] is None
+
+
+def test_budgets_are_fitted_where_they_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mark(scene: str, config: EmbedConfig, *, seed: int) -> None:
+        raise LookupError(config.device)
+
+    monkeypatch.setattr("engine.lab.evaluate.bench.marking.mark_scene", mark)
+    assert "device" in find_study("budgets").knows
+    with pytest.raises(LookupError, match="cuda"):
+        find_study("budgets").cells(Options(SCENES, device="cuda"))[0].run()
 
 
 def test_the_report_of_a_measurement_is_its_rows() -> None:

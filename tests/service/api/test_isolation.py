@@ -17,7 +17,7 @@ from service.jobs.port import Job, State
 from tests.service.api.conftest import SMALL, Api
 from tests.service.rows import add_asset
 
-SHARED = {"/shared/{token}", "/shared/{token}/claim.json", "/shared/{token}/pack"}
+SHARED = {"/shared/{token}", "/shared/{token}/annex", "/shared/{token}/claim.json", "/shared/{token}/pack"}
 PUBLIC = {
     *("/healthz", "/readyz", "/.well-known/jwks.json"),
     # what was let out with a file, for who has the id that is in it (test_credentials)

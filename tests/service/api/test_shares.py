@@ -61,9 +61,15 @@ def test_whoever_has_the_address_sees_the_report(service: Service, api: Api, any
     plain, pack = anybody.get(at(share, "/claim.json")), anybody.get(at(share, "/pack"))
     assert plain.json() == api.client.get(f"/v1/claims/{claim}").json()
     assert pack.content == api.client.get(f"/v1/claims/{claim}/pack").content
+    rates, same = anybody.get(at(share, "/annex")), api.client.get(f"/v1/claims/{claim}/annex")
+    assert "How often the method errs" in rates.text
+    assert (rates.content, same.headers["content-type"]) == (same.content, page.headers["content-type"])
+    assert same.headers["content-security-policy"] == page.headers["content-security-policy"], (
+        "it has a style of its own"
+    )
     forged = anybody.get(at(share, "/pack"), params={"note": "the owner says so", "copy_url": "https://a.example"})
     assert forged.content == pack.content, "a stranger's words are no owner's"
-    for answer in (page, plain, pack, anybody.head(at(share))):
+    for answer in (page, plain, pack, rates, anybody.head(at(share))):
         assert answer.headers["cache-control"] == "no-store"
         assert answer.headers["referrer-policy"] == "no-referrer"
         assert answer.headers["x-robots-tag"] == "noindex"

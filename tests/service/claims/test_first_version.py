@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from service.claims.annex import annex_html
 from service.claims.document import document_words
 from service.claims.offline import Status, verify_report
 from service.claims.report import report_html
@@ -66,3 +67,4 @@ def test_it_is_read(registry: Registry, kind: str) -> None:
     assert words.headline
     assert any("attested by the log of this service" in fact.text for fact in words.facts)
     assert "in the words of then" in report_html(document, jws, PICTURES)
+    assert "How often the method errs" in annex_html(document)

@@ -96,6 +96,9 @@ def test_a_copy_is_claimed_and_the_claim_checked_offline(
     assert {each.id: each.copy_name for each in alice.claims()}[found.claim_id] == "acme"
     alice.jws(found.claim_id, tmp_path / "claim.jws")
     alice.report(found.claim_id, tmp_path / "report.html")
+    annex = alice.annex(found.claim_id, tmp_path / "annex.html").read_text(encoding="utf-8")
+    assert f"Annex to claim {found.claim_id}" in annex
+    assert claim.document["tool"]["version"] in annex
     (tmp_path / "claim.json").write_text(json.dumps(asdict(claim)))
     (tmp_path / "jwks.json").write_text(json.dumps(alice.call("GET", "/.well-known/jwks.json")))
     for name in ("claim.jws", "claim.json", "report.html"):

@@ -6,7 +6,13 @@ import re
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from engine.formats import wrappings
+from engine.formats.known_formats import KINDS
+
+PICTURES = {"PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP", "AVIF"}
+"""What `engine.formats.image_files.is_picture` knows."""
 WEB = Path(__file__).parents[3] / "service" / "web"
 SCRIPTS = sorted((WEB / "js").glob("*.js"))
 PAGES = [WEB / "index.html", WEB / "docs" / "index.html"]
@@ -39,6 +45,15 @@ def test_elements_that_scripts_name_are_on_the_page() -> None:
             assert name in ids, f"{path.name}: #{name}"
     for view in ("mark", "check"):
         assert {f"{view}-{part}" for part in ("form", "intro", "progress", "result", "problem")} <= ids
+
+
+def test_file_dialogs_offer_every_format_that_is_read() -> None:
+    names = {f".{name}" for kind in KINDS for name in (kind.name.split(".")[-1], *kind.endings)}
+    models = {*names, *wrappings._MODELS, ".zip", ".gz"}
+    mark, check = (set(each.split(",")) for each in re.findall(r'accept="([^"]+)"', (WEB / "index.html").read_text()))
+    assert mark == models - {".obj"}, "points and meshes are suspects alone"
+    assert models <= check
+    assert {Image.registered_extensions()[each] for each in check - models} == PICTURES
 
 
 def test_profiles_say_the_seconds_that_were_measured() -> None:

@@ -89,6 +89,11 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     assert "Acme" in opened.value.locator("body").inner_text()
     opened.value.screenshot(path=tmp_path / "report.png")
     opened.value.close()
+    with page.context.expect_page() as opened:
+        result.get_by_role("button", name="Open the error rates").click()
+    opened.value.get_by_role("heading", name="How often the method errs").wait_for()
+    assert opened.value.locator("main").evaluate("(element) => getComputedStyle(element).maxWidth") == "860px"
+    opened.value.close()
 
     result.get_by_text("Request a takedown from a platform").click()
     result.get_by_label("Address of the copy").fill("https://a.example/1\nnonsense")

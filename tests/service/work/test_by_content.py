@@ -202,3 +202,13 @@ def test_a_delivered_glb_names_its_manifest_and_the_rights(service: Service, tmp
     assert (later.rights, later.provenance != stated.provenance) == ("Public domain", True)
     publish(service, rights="(c) 2026 Acme")
     assert fetch().content == first.content
+
+
+@pytest.mark.parametrize("kind", ["usdc", "usdz"])
+def test_a_model_is_fetched_as_openusd(service: Service, marked: Marked, kind: str) -> None:
+    pytest.importorskip("pxr")
+    answer = client(service).get(f"/v1/assets/{ASSET}/model", params={"format": kind})
+    assert answer.status_code == 200, answer.text
+    loaded = read_model(answer.content)
+    assert loaded.format == kind
+    np.testing.assert_array_equal(loaded.model.means, read_model(marked.path("model")).model.means)

@@ -46,6 +46,7 @@ PICTURES = 3
 """Of the unseen views, kept as JPEG 10 and read."""
 JPEG_10 = Trial("picture, JPEG 10", (("jpeg", 10),), "", "image")
 FIELDS = (
+    "device",
     "gaussians_out",
     "psnr_worst_view",
     "ssim_worst_view",
@@ -55,26 +56,25 @@ FIELDS = (
 )
 
 
-def measure_budgets(scene: str, seed: int, profile: str) -> list[Row]:
+def measure_budgets(scene: str, seed: int, profile: str, device: str) -> list[Row]:
     """The whole model, and every pruning budget and compact output without and with recovery: what is left, what it
     costs, and what views show that neither the key nor the fit knows."""
-    plain, rows = named_profile(profile, landmark_views=0), []
+    plain, rows = named_profile(profile, landmark_views=0, device=device), []
     outputs: list[tuple[str, float | None]] = [("pruned", db) for db in BUDGETS_DB]
     outputs += [("compact", db) for db in COMPACT_DB]
     cases = [("whole", None, False), *((*each, recover) for each in outputs for recover in (False, True))]
     for output, wanted_db, recover in cases:
-        began = time.process_time()
+        began, at = time.process_time(), time.perf_counter()
         config = replace(plain, prune=PruneConfig(budget_db=wanted_db if output == "pruned" else None, recover=recover))
         if output == "compact":
             config = replace(config, output=output, compact_db=wanted_db or 0.0)
         made = mark_scene(scene, config, seed=seed)
-        seconds = time.process_time() - began
+        seconds = {"cpu_seconds": time.process_time() - began, "seconds": time.perf_counter() - at}
         views = other_views(made.original, UNSEEN, UNSEEN_SIDE, (seed, 0x5EE))
         pictures = [(to_8_bit(render(made.marked, camera)), camera) for camera in views[:PICTURES]]
         readings = [read_attacked(made, JPEG_10, seed, picture, camera) for picture, camera in pictures]
         pruned = [psnr(render(made.original, camera), render(made.opened.reference, camera)) for camera in views]
-        row: Row = {"scene": Path(scene).name, "output": output, "wanted_db": wanted_db, "recover": recover}
-        row["cpu_seconds"] = seconds
+        row: Row = {"scene": Path(scene).name, "output": output, "wanted_db": wanted_db, "recover": recover, **seconds}
         row |= {field: made.report[field] for field in FIELDS if field in made.report}
         rows.append(
             row

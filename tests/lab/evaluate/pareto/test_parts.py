@@ -113,10 +113,10 @@ def test_the_chart_shows_every_point_in_every_panel() -> None:
 def test_a_run_leaves_a_result_for_the_page(tmp_path: Path) -> None:
     made = STUDY.report(ROWS, Options(("a.ply", "b.ply"), seed=3))
     (tmp_path / PAGE).write_text(made.pages[PAGE])
-    (result,) = read_results(tmp_path)
+    (result,) = read_results(tmp_path).values()
     assert result.seed == "3"
     assert result.rows[0] == ("fast", "5.0 / 4.0", "20 / 40", "100 %", "100 % / 50 %", "45.0 / 50.0")
-    assert "| balanced (a) | 7.0 | 20 | 100 % |" in draw_page([result])
+    assert "| balanced (a) | 7.0 | 20 | 100 % |" in draw_page({"17": result})
     said = ["6 of 6 (95 %: 54 to 100 %)", "a 1.01 (one run each)", "a 0.72 (one run each)", "a 40.0"]
     assert [(bar.measured, bar.met) for bar in made.bars] == [(text, True) for text in said]
     blurred = [row | {"psnr_unseen": 38.9} if row["setting"] == "auto, 40 dB" else row for row in ROWS]

@@ -90,9 +90,9 @@ def test_a_run_leaves_curves_from_which_figure_and_table_are_made(tmp_path: Path
     (tmp_path / "curves.json").write_text(made.pages["attack_families.json"])
     assert main([str(tmp_path / name) for name in ("curves.json", "f.png", "21.json")]) == 0
     (tmp_path / "curves.json").unlink()
-    (result,) = read_results(tmp_path)
+    (result,) = read_results(tmp_path).values()
     assert "--setting families --scene a.ply" in result.command
-    assert "Blind methods solve a harder problem" in draw_page([result])
+    assert "Blind methods solve a harder problem" in draw_page({"21": result})
     assert (tmp_path / "f.png").read_bytes()[:4] == b"\x89PNG"
     assert main([]) == 2
 
