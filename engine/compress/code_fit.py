@@ -22,7 +22,7 @@ def fit_codes(model: GaussianModel, stages: tuple[Stage, ...], target: Target, t
     """The stages with code vectors of which the model's geometry renders nearer to the target, by squared error.
 
     Its own colors are not looked at. Stops when a step gains next to nothing; the same bits whatever the number of
-    threads. `tell` gets a PSNR over all the target's views that is reached at least.
+    threads. `tell` gets the PSNR over all the target's views, but for colors that come to be clamped or cease to be.
     """
     renders = _Renders(model, stages, target)
     books = np.concatenate([stage.codebook for stage in stages], dtype=np.float64)  # (M, 3K) of all stages

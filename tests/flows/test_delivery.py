@@ -21,7 +21,7 @@ from engine.flows.embed.planning_basis import Groundwork, color_weights
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock
-from engine.flows.views.camera_rig import measure_extent
+from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
@@ -184,7 +184,7 @@ def _blackened(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
 
 
 def test_colors_are_fitted_where_harmonics_are_cut(ball: Ball) -> None:
-    """To the renders of the whole model, as far as there is a target."""
+    """To the renders of the whole model, where the owner's cameras leave views enough."""
     prune = PruneConfig(budget_db=20.0, sh_degree=0, merge_distance=0.0)
     config = EmbedConfig(view_size=64, prune=prune)
     keep_all = lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0)  # noqa: E731
@@ -192,8 +192,11 @@ def test_colors_are_fitted_where_harmonics_are_cut(ball: Ball) -> None:
         patch.setattr(delivery, "prune_and_fit", keep_all)
         fitted, _ = slim_down(groundwork(ball), config, Clock())
         cut, _ = slim_down(groundwork(ball), replace(config, prune=replace(prune, recover=False)), Clock())
+        (other,) = make_rig(ball.model, 1, 64, 64)
+        few, _ = slim_down(replace(groundwork(ball), own=[*ball.cameras, other]), config, Clock())
     assert fitted.sh.shape == cut.sh.shape == (len(ball.model), 1, 3)
-    np.testing.assert_array_equal(cut.sh, ball.model.sh[:, :1])
+    for model in (cut, few):
+        np.testing.assert_array_equal(model.sh, ball.model.sh[:, :1])
     assert worst_psnr(ball, fitted) > worst_psnr(ball, cut) + 0.5
 
 

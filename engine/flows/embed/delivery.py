@@ -82,7 +82,7 @@ def slim_down(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[
     (target, measure), worth = _sights(original, config), _worth(original, config)
     if config.prune.sh_degree < model.sh_degree:
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
-        if config.prune.recover:
+        if target is not None:
             model = fit_colors(model, _seen_by_others(original), _tell(clock))
     if target is not None and config.prune.rank == "error":
         worth = worth + sum_squares(model, target.cameras)  # what key views alone do not show is seen elsewhere
