@@ -179,6 +179,17 @@ def test_compact_out_of_stages_delivers_the_better(
     assert worst_psnr(seen_ball, compacted(60.0).model) > 20.0
 
 
+def test_compact_of_a_pruned_model_is_fitted_to_the_original(seen_ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What stands in for a pruned model is darker: renders of the original say so, its own do not."""
+    monkeypatch.setattr(delivery, "_CONFIG", replace(CONFIG.plan, most_stages=0))
+    original = replace(groundwork(seen_ball), config=EmbedConfig(output="compact", compact_db=60.0))
+    dark, heard = seen_ball.model.with_(sh=seen_ball.model.sh - np.float32(0.2)), list[float]()
+    ground = original.of(dark, Clock())
+    model, _ = unmarked_delivery(original, ground, original.config, lambda share, psnr_db: heard.append(share))
+    assert worst_psnr(seen_ball, model) > worst_psnr(seen_ball, dark) + 3.0
+    assert 0.0 < heard[0] <= heard[-1] <= 1.0
+
+
 def _blackened(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
     return tuple(replace(stage, codebook=stage.codebook - 9.0) for stage in stages)
 
