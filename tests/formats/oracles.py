@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -25,6 +26,7 @@ from tests.formats.sog_scenes import pixels_of
 from tests.formats.spz_scenes import as_version_4
 
 PROGRAM = "splat-transform"
+VIEWER = "PlayCanvas"
 Files = dict[str, bytes]
 """By kind."""
 
@@ -39,6 +41,7 @@ class Oracle:
     read: Callable[[Files], list[GaussianModel]]
     write: Callable[[GaussianModel, tuple[str, ...]], Files]
     spz_frame: Callable[[], str] = lambda: "ply"  # in which it takes every SPZ file to be
+    sorts: bool = False  # what it reads, along a curve through space
 
 
 @dataclass(frozen=True)
@@ -110,13 +113,14 @@ def compare(oracle: Oracle, model: GaussianModel) -> dict[tuple[str, str], Diffe
     files = {kind: ours(model, kind) for kind in oracle.reads}
     found: dict[tuple[str, str], Difference] = {}
     for (kind, data), theirs in zip(files.items(), oracle.read(files), strict=True):
-        found["read", kind] = difference(understood(data, oracle), theirs)
+        mine = understood(data, oracle)
+        found["read", kind] = difference(mine, in_order_of(mine, theirs) if oracle.sorts else theirs)
     written = oracle.write(model, oracle.writes)
-    mine = {kind: understood(data, oracle) for kind, data in written.items()}
-    found |= {("written", kind): difference(model, in_order_of(model, each)) for kind, each in mine.items()}
+    models = {kind: understood(data, oracle) for kind, data in written.items()}
+    found |= {("written", kind): difference(model, in_order_of(model, each)) for kind, each in models.items()}
     readable = {kind: data for kind, data in written.items() if kind != "glb"}
     for kind, theirs in zip(readable, oracle.read(readable), strict=True):
-        found["read back", kind] = difference(mine[kind], theirs)
+        found["read back", kind] = difference(models[kind], theirs)
     return found
 
 
@@ -207,6 +211,38 @@ def _write_transform(model: GaussianModel, kind: str) -> bytes:
         return target.read_bytes()
 
 
+def _read_playcanvas(data: bytes, kind: str) -> GaussianModel:
+    """By the engine of SuperSplat's viewer, which comes with splat-transform: activated scales and opacities, and the
+    axes of glTF (y up), half a turn around z from those of PLY."""
+    tool = shutil.which(PROGRAM)
+    assert tool is not None
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, f"scene.{kind}"), Path(folder, "columns")
+        source.write_bytes(data)
+        command = ["node", str(Path(__file__).with_name("playcanvas_glb.mjs")), tool, str(source), str(target)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+        assert done.returncode == 0, done.stderr or done.stdout
+        names = json.loads(done.stdout.splitlines()[-1])
+        rows = dict(zip(names, np.frombuffer(target.read_bytes(), np.float32).reshape(len(names), -1), strict=True))
+
+    def columns(name: str, count: int) -> Any:
+        return np.stack([rows[f"{name}_{i}"] for i in range(count)], axis=1)
+
+    count = sum(name.startswith("f_rest") for name in names) // 3
+    sh = np.concatenate([columns("f_dc", 3)[:, None], np.zeros((len(rows["x"]), count, 3), np.float32)], axis=1)
+    sh[:, 1:] = columns("f_rest", 3 * count).reshape(-1, 3, count).transpose(0, 2, 1) if count else 0
+    orders = np.concatenate([np.arange(-degree, degree + 1) for degree in range(4)])[: 1 + count]
+    w, x, y, z = columns("rot", 4).T
+    opacity = rows["opacity"].astype(np.float64)
+    return GaussianModel(
+        np.stack([-rows["x"], -rows["y"], rows["z"]], axis=1),
+        np.log(columns("scale", 3)),
+        np.stack([-z, -y, x, w], axis=1),
+        np.log(opacity / (1 - opacity)),
+        sh * np.where(orders % 2, -1, 1)[:, None],
+    )
+
+
 @cache
 def transform_frame() -> str:
     """Version 2 turns the axes as SPZ's specification wants it, version 3 leaves those of PLY."""
@@ -236,5 +272,8 @@ ORACLES = {
         _one_by_one_out(_write_transform),
         transform_frame,
     ),
+    VIEWER: Oracle(("glb",), (), _one_by_one(_read_playcanvas), lambda model, kinds: {}, sorts=True),
 }
-HERE = {name for name in ORACLES if name != PROGRAM or (shutil.which(PROGRAM) and sys.platform != "win32")}
+HERE = {
+    name for name in ORACLES if name not in (PROGRAM, VIEWER) or (shutil.which(PROGRAM) and sys.platform != "win32")
+}

@@ -57,7 +57,7 @@ def scene(name: str) -> GaussianModel:
 
 def need(program: str) -> None:
     if program not in HERE:
-        pytest.skip(f"{program} is not installed: npm install -g @playcanvas/{program}")
+        pytest.skip(f"{program} is not installed: npm install -g @playcanvas/{PROGRAM}")
 
 
 @cache
