@@ -47,6 +47,17 @@ class RecoveryConfig:
 
 
 @dataclass(frozen=True)
+class CodeFitConfig:
+    """Code vectors fitted to the original's renders (`code_fit`)."""
+
+    views: int = 12  # that are no key views
+    side: int = 800  # pixels, of a view: at 400 unseen views gain half a dB less
+    steps: int = 8  # of conjugate gradients, at most
+    least_gain: float = 0.03  # share of the squared error that a step must save for another (0.13 dB)
+    prior: float = 0.01  # pixels' worth of squared error that holds each Gaussian's color where it was
+
+
+@dataclass(frozen=True)
 class CompressConfig:
     """Uncertainty (`impact`), near-duplicates (`pruning`), `cells` and `levels_of_detail`."""
 
@@ -58,6 +69,7 @@ class CompressConfig:
     color_std: float = 0.2  # difference of SH coefficients that costs such a pair as much as half a nat of shape
     thin: float = 1e-8  # share of its trace added to a covariance, so that discs have a determinant
     recovery: RecoveryConfig = RecoveryConfig()
+    code_fit: CodeFitConfig = CodeFitConfig()
 
 
 CONFIG = CompressConfig()

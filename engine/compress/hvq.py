@@ -86,12 +86,12 @@ def group_means(values: Matrix, labels: Int32, weights: Float64, count: int | No
     weights = weights + 1e-9 * float(weights.mean()) + 1e-300
     total = np.bincount(labels, weights, count)
     sums = np.zeros((count, values.shape[1]))
-    _add_up(np.ascontiguousarray(values), labels, weights, sums)
+    add_up(np.ascontiguousarray(values), labels, weights, sums)
     return (sums / np.maximum(total, 1e-300)[:, None]).astype(np.float32)
 
 
 @parallel_kernel
-def _add_up(values, labels, weights, sums, call):  # type: ignore[no-untyped-def]
+def add_up(values, labels, weights, sums, call):  # type: ignore[no-untyped-def]
     """Weighted sums (M, d) of the rows of each label. Each call has columns of its own: threads do not matter."""
     columns = share_of(values.shape[1], call)
     for i in range(len(values)):

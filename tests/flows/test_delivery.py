@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from engine.compress.code_fit import fit_codes
 from engine.compress.config import CONFIG as COMPRESS
+from engine.compress.hvq import Stage, decode_stages
 from engine.compress.impact import paper_impact
 from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
+from engine.compress.recovery import Target, Tell
 from engine.flows.embed import delivery
 from engine.flows.embed.config import CONFIG
 from engine.flows.embed.delivery import slim_down, unmarked_delivery
@@ -17,7 +21,7 @@ from engine.flows.embed.planning_basis import Groundwork, color_weights
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock
-from engine.flows.views.camera_rig import measure_extent
+from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.flows.views.view_set import worst_psnr_against
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
@@ -101,20 +105,116 @@ def test_colors_weigh_what_their_error_costs(ball: Ball) -> None:
     np.testing.assert_allclose(color_weights(ball.model, unseen), COMPRESS.prior, rtol=1e-6)
 
 
-@pytest.mark.parametrize("more", [1.0, 4.0])
-def test_compact_learns_stages_until_the_mark_has_room(ball: Ball, more: float) -> None:
-    first = worst_psnr(ball, ball.model.with_(sh=ball.stages[0].decode().reshape(ball.model.sh.shape)))
-    config = EmbedConfig(output="compact", compact_db=first + more)
-    compact, stages = unmarked_delivery(ball.model, ball.stages, ball.original, ball.impact, config)
-    assert worst_psnr(ball, compact) >= config.compact_db + 0.8
-    assert 1 < len(stages) <= CONFIG.plan.most_stages
-    assert stages[0] is ball.stages[0], "the stage that carries the mark"
-    np.testing.assert_allclose(compact.sh, sum(stage.decode() for stage in stages).reshape(compact.sh.shape), atol=1e-6)
+@dataclass
+class Compact:
+    """What a compact delivery of the ball came to, so many dB above its first stage as it comes."""
+
+    more_db: float
+    fits: list[tuple[int, float]]  # stages, and worst PSNR after each fit
+    ground: Groundwork
+    model: GaussianModel
+    stages: tuple[Stage, ...]
+
+
+@pytest.fixture(scope="module")
+def seen_ball() -> Ball:
+    """From so many views that what is seen best in them is seen well all around."""
+    return marked_ball(size=64, views=10)
+
+
+@pytest.fixture
+def compacted(seen_ball: Ball, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Compact]:
+    fits: list[tuple[int, float]] = []
+
+    def spy(model: GaussianModel, stages: tuple[Stage, ...], target: Target, tell: Tell) -> tuple[Stage, ...]:
+        known = {camera.viewmat.tobytes() for camera in seen_ball.cameras}
+        assert not known & {camera.viewmat.tobytes() for camera in target.cameras}
+        fitted = fit_codes(model, stages, target, tell)
+        fits.append((len(stages), worst_psnr(seen_ball, model.with_(sh=decode_stages(fitted)))))
+        return fitted
+
+    def run(more_db: float) -> Compact:
+        ground = replace(groundwork(seen_ball), config=EmbedConfig(output="compact"))
+        first = worst_psnr(seen_ball, seen_ball.model.with_(sh=decode_stages(ground.stages)))
+        config = replace(ground.config, compact_db=first + more_db - CONFIG.plan.mark_room_db)
+        model, stages = unmarked_delivery(ground, ground, config, lambda *_: None)
+        np.testing.assert_array_equal(model.sh, decode_stages(stages))
+        return Compact(more_db, fits, ground, model, stages)
+
+    monkeypatch.setattr(delivery, "fit_codes", spy)
+    return run
+
+
+def test_compact_is_the_cells_alone_where_they_do(compacted: Callable[[float], Compact]) -> None:
+    found = compacted(-0.01)
+    assert found.fits == []
+    assert found.stages is found.ground.stages
+
+
+def test_compact_fits_codes_before_it_learns_more(seen_ball: Ball, compacted: Callable[[float], Compact]) -> None:
+    found = compacted(0.5)
+    assert [count for count, _ in found.fits] == [1]
+    assert len(found.stages) == 1
+    assert worst_psnr(seen_ball, found.model) == pytest.approx(found.fits[0][1], abs=1e-3)
+    assert found.stages[0].labels is found.ground.stages[0].labels, "the cells that carry the mark"
+
+
+def test_compact_learns_stages_until_the_mark_has_room(seen_ball: Ball, compacted: Callable[[float], Compact]) -> None:
+    """Far below what is wanted nothing is fitted."""
+    found = compacted(CONFIG.plan.fit_gain_db + 0.5)
+    first = worst_psnr(seen_ball, seen_ball.model.with_(sh=decode_stages(found.ground.stages)))
+    assert worst_psnr(seen_ball, found.model) >= first + found.more_db
+    assert 1 < len(found.stages) <= CONFIG.plan.most_stages
+    assert all(count > 1 for count, _ in found.fits)
+
+
+def test_compact_out_of_stages_delivers_the_better(
+    compacted: Callable[[float], Compact], seen_ball: Ball, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(delivery, "_CONFIG", replace(CONFIG.plan, most_stages=0))
+    found = compacted(60.0)
+    assert [count for count, _ in found.fits] == [1]
+    assert worst_psnr(seen_ball, found.model) == pytest.approx(found.fits[0][1], abs=1e-3)
+    monkeypatch.setattr(delivery, "fit_codes", lambda model, stages, *_: _blackened(stages))
+    assert worst_psnr(seen_ball, compacted(60.0).model) > 20.0
+
+
+def test_compact_of_a_pruned_model_is_fitted_to_the_original(seen_ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What stands in for a pruned model is darker: renders of the original say so, its own do not."""
+    monkeypatch.setattr(delivery, "_CONFIG", replace(CONFIG.plan, most_stages=0))
+    original = replace(groundwork(seen_ball), config=EmbedConfig(output="compact", compact_db=60.0))
+    dark, heard = seen_ball.model.with_(sh=seen_ball.model.sh - np.float32(0.2)), list[float]()
+    ground = original.of(dark, Clock())
+    model, _ = unmarked_delivery(original, ground, original.config, lambda share, psnr_db: heard.append(share))
+    assert worst_psnr(seen_ball, model) > worst_psnr(seen_ball, dark) + 3.0
+    assert 0.0 < heard[0] <= heard[-1] <= 1.0
+
+
+def _blackened(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
+    return tuple(replace(stage, codebook=stage.codebook - 9.0) for stage in stages)
+
+
+def test_colors_are_fitted_where_harmonics_are_cut(ball: Ball) -> None:
+    """To the renders of the whole model, where the owner's cameras leave views enough."""
+    prune = PruneConfig(budget_db=20.0, sh_degree=0, merge_distance=0.0)
+    config = EmbedConfig(view_size=64, prune=prune)
+    keep_all = lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0)  # noqa: E731
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(delivery, "prune_and_fit", keep_all)
+        fitted, _ = slim_down(groundwork(ball), config, Clock())
+        cut, _ = slim_down(groundwork(ball), replace(config, prune=replace(prune, recover=False)), Clock())
+        (other,) = make_rig(ball.model, 1, 64, 64)
+        few, _ = slim_down(replace(groundwork(ball), own=[*ball.cameras, other]), config, Clock())
+    assert fitted.sh.shape == cut.sh.shape == (len(ball.model), 1, 3)
+    for model in (cut, few):
+        np.testing.assert_array_equal(model.sh, ball.model.sh[:, :1])
+    assert worst_psnr(ball, fitted) > worst_psnr(ball, cut) + 0.5
 
 
 def test_fidelity_is_the_model_itself(ball: Ball) -> None:
-    delivered = unmarked_delivery(ball.model, ball.stages, ball.original, ball.impact, EmbedConfig())
-    assert delivered == (ball.model, ball.stages)
+    ground = groundwork(ball)
+    delivered = unmarked_delivery(ground, ground, EmbedConfig(), lambda *_: None)
+    assert delivered == (ball.model, ground.stages)
 
 
 def test_the_worst_view_decides(ball: Ball) -> None:

@@ -9,7 +9,7 @@ import pytest
 from engine.compress.hvq import HvqConfig
 from engine.compress.pruning import PruneConfig
 from engine.errors import InputError
-from engine.flows.embed.profiles import Auto, compose, profile
+from engine.flows.embed.profiles import Auto, EmbedConfig, compose, profile
 
 
 def test_what_an_owner_asks_for_is_composed() -> None:
@@ -75,3 +75,14 @@ def test_records_say_what_recovery_did_only_where_something_goes() -> None:
     """Without a budget a record is, to the byte, what it was before there was recovery."""
     assert "recover" not in profile("fast").to_json()["prune"]
     assert compose("fast", budget_db=35.0, knobs=["prune.recover=false"]).to_json()["prune"]["recover"] is False
+    assert compose("fast", output="compact").to_json()["prune"]["recover"] is True
+
+
+def test_what_no_record_says_was_fitted_was_not() -> None:
+    """Copies of a compact model that an earlier version made come out as it did."""
+    config = compose("fast", output="compact")
+    assert isinstance(config, EmbedConfig)
+    plain = config.to_json()
+    assert EmbedConfig.from_json(plain) == config
+    del plain["prune"]["recover"]
+    assert EmbedConfig.from_json(plain) == compose("fast", output="compact", knobs=["prune.recover=false"])

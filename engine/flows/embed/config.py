@@ -35,6 +35,8 @@ class PlanConstants:
         4.2  # Gaussians left by pruning in turns with recovery: with fewer, pictures show less of the mark
     )
     most_stages: int = 5  # of residual code vectors
+    mark_room_db: float = 0.8  # by which the compact output stays above `compact_db`: the mark takes it
+    fit_gain_db: float = 4.0  # most that fitted code vectors are hoped to gain: further off, a stage is learnt at once
     apart: float = 0.5  # shift of each half along the longest axis, standard deviations of the whole along it
     bit_temperature: float = 4.0  # z per bit at which the message loss saturates: a bit error of 3e-5
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from engine.compress.code_fit import fit_codes, fit_colors
 from engine.compress.config import CONFIG as COMPRESS
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
-from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature
+from engine.compress.impact import frequency_impact, paper_impact, sh_curvature
 from engine.compress.pruning import Pruned as Fitted
 from engine.compress.pruning import drop_unseen_bands, prune_at
 from engine.compress.recovery import Recovery, Target, Tell, fit, prune_and_fit, recoverable, sum_squares, views_for
@@ -26,7 +27,7 @@ from engine.numerics.similarity import quaternion_to_rotation
 from engine.raster import render
 
 _CONFIG = CONFIG.plan
-_RECOVERY = COMPRESS.recovery
+_RECOVERY, _FIT = COMPRESS.recovery, COMPRESS.code_fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +64,8 @@ def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delive
     with clock.stage("quantize"):
         # What is left is quantised as these settings say, under whichever ones it was looked at.
         ground = (replace(original, config=settings) if settings.thins else original).of(slim, clock)
-        model, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
-        return Delivery(settings, ground, model, tuple(stages), ground.views_of(model, clock), pruned)
+        model, stages = unmarked_delivery(original, ground, settings, _tell(clock))
+        return Delivery(settings, ground, model, stages, ground.views_of(model, clock), pruned)
 
 
 def slim_down(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[GaussianModel, Pruned]:
@@ -81,6 +82,8 @@ def slim_down(original: Groundwork, config: EmbedConfig, clock: Clock) -> tuple[
     (target, measure), worth = _sights(original, config), _worth(original, config)
     if config.prune.sh_degree < model.sh_degree:
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
+        if target is not None:
+            model = fit_colors(model, _seen_by_others(original), _tell(clock))
     if target is not None and config.prune.rank == "error":
         worth = worth + sum_squares(model, target.cameras)  # what key views alone do not show is seen elsewhere
     pixels = sum(c.width * c.height for c in cameras)
@@ -113,6 +116,12 @@ def _sights(original: Groundwork, config: EmbedConfig) -> tuple[Target | None, C
     return Target.of(model, fitted, config.device), worst_psnr_against(images, [*original.cameras, *others])
 
 
+def _seen_by_others(original: Groundwork) -> Target:
+    """What colors are fitted to: renders from views all around that are no key views."""
+    cameras = original.unseen(_FIT.views, _FIT.side, np.random.default_rng(_RECOVERY.seed))
+    return Target.of(original.model, cameras)
+
+
 def _tell(clock: Clock) -> Tell:
     return lambda share, psnr_db: clock.advance(share, f"{psnr_db:.1f} dB")
 
@@ -138,20 +147,30 @@ def _as_the_paper(original: Groundwork, config: EmbedConfig, clock: Clock) -> tu
 
 
 def unmarked_delivery(
-    model: GaussianModel, stages: tuple[Stage, ...], original: ViewSet, impact: Impact, config: EmbedConfig
+    original: Groundwork, ground: Groundwork, config: EmbedConfig, tell: Tell
 ) -> tuple[GaussianModel, tuple[Stage, ...]]:
-    """The unmarked model as delivered: itself ("fidelity"), or the sum of its code vectors ("compact").
+    """The unmarked model as delivered: that of `ground` itself ("fidelity"), or the sum of its code vectors
+    ("compact").
 
-    "compact" learns residual stages until the worst view keeps `compact_db` against the original (with room for
-    the mark), up to `most_stages`: as many codes as the scene needs.
+    "compact" fits them to the original's renders, and learns residual stages, until the worst view keeps `compact_db`
+    against the original (with room for the mark), up to `most_stages`: as many codes as the scene needs.
     """
+    model, stages = ground.model, ground.stages
     if config.output == "fidelity":
         return model, stages
-    measure = worst_psnr_against(original.images, original.cameras)
-    weights = color_weights(model, impact, by_frequency=config.paper.frequency)
+    measure = worst_psnr_against(original.views.images, original.cameras)
+    goal, target = config.compact_db + _CONFIG.mark_room_db, None
+    weights = color_weights(model, ground.impact, by_frequency=config.paper.frequency)
     while True:
         compact = model.with_(sh=decode_stages(stages))
-        if measure(compact) >= config.compact_db + 0.8 or len(stages) > _CONFIG.most_stages:
+        psnr, last = measure(compact), len(stages) > _CONFIG.most_stages
+        if config.prune.recover and psnr < goal and (last or psnr >= goal - _CONFIG.fit_gain_db):
+            target = target or _seen_by_others(original)
+            fitted = fit_codes(model, stages, target, tell)
+            better = model.with_(sh=decode_stages(fitted))
+            if measure(better) >= (psnr if last else goal):
+                return better, fitted
+        if psnr >= goal or last:
             return compact, stages
         residual = (model.sh - compact.sh).reshape(len(model), -1)
         number = len(stages)

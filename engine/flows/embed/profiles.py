@@ -100,12 +100,12 @@ class EmbedConfig:
         return self.thins and self.prune.recover
 
     def to_json(self) -> Json:
-        """As a record holds it: what the paper does is named where it is done, recovery where something goes, and a GPU
-        where one fitted."""
+        """As a record holds it: what the paper does is named where it is done, recovery where rows go or codes are all
+        that is left, and a GPU where one fitted."""
         plain = asdict(self)
         if self.device == "cpu":
             del plain["device"]
-        if not self.thins:
+        if self.keeps_rows:
             del plain["prune"]["recover"]
         if self.paper == PaperConfig():
             del plain["paper"]
@@ -113,8 +113,8 @@ class EmbedConfig:
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> Self:
-        """Of a record; what it does not name is as by default."""
-        made: Self = _filled(cls(), plain)
+        """Of a record; what it does not name is as by default, but recovery, which earlier versions had not."""
+        made: Self = _filled(cls(prune=PruneConfig(recover=False)), plain)
         return made
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from engine.errors import InputError
 from engine.flows.embed.embedding import embed_copies
-from engine.flows.embed.profiles import EmbedConfig, profile
+from engine.flows.embed.profiles import EmbedConfig, Settings, profile
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import read_model
 from engine.model import GaussianModel
@@ -39,13 +39,13 @@ def bench_key(seed: int) -> OwnerKey:
     return OwnerKey(hashlib.sha256(f"mark3dgs bench key {seed}".encode()).digest())
 
 
-def mark_scene(path: str | Path, config: EmbedConfig, *, bits: int = 32, seed: int = 0) -> MarkedScene:
+def mark_scene(path: str | Path, config: Settings, *, bits: int = 32, seed: int = 0) -> MarkedScene:
     """Read a model and mark it; the record makes the round trip through its bytes."""
     return mark_copies(path, config, [""], bits=bits, seed=seed)[0]
 
 
 def mark_copies(
-    path: str | Path, config: EmbedConfig, names: Sequence[str], *, bits: int = 32, seed: int = 0
+    path: str | Path, config: Settings, names: Sequence[str], *, bits: int = 32, seed: int = 0
 ) -> list[MarkedScene]:
     """The same for the copy of each recipient."""
     loaded, key = read_model(path), bench_key(seed)

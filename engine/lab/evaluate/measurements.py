@@ -69,7 +69,7 @@ def _section(rows: Sequence[Row]) -> Section:
 
 MEASUREMENTS = {
     "budgets": Measurement(
-        "Gaussians, bytes, seconds, dB and z for every pruning budget, without and with recovery",
+        "Gaussians, bytes, seconds, dB and z for pruning budgets and compact output, without and with recovery",
         "marking:measure_budgets",
         ("profile", "device"),
     ),

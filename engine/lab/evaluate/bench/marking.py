@@ -4,6 +4,7 @@ No file of these variants is at hand, so each is made: discs by flattening and r
 fitting Spacetime Gaussians, a codebook model by clustering, a generated one by training on few pictures.
 """
 
+import itertools
 import math
 import tempfile
 import time
@@ -16,10 +17,11 @@ import numpy as np
 
 from engine.compress.pruning import PruneConfig
 from engine.flows.embed.embedding import Embedding, embed
-from engine.flows.embed.profiles import AUTO, EmbedConfig, compose
+from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig, Settings, compose
 from engine.flows.embed.profiles import profile as named_profile
 from engine.flows.records.opened_record import open_record
 from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.view_set import worst_psnr_against
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
@@ -27,7 +29,6 @@ from engine.lab.evaluate.study import Row
 from engine.lab.sim.suite import Trial
 from engine.lab.sim.variants.variant_table import VariantRow
 from engine.model import GaussianModel
-from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
@@ -40,7 +41,7 @@ CODEBOOK_BUDGET_DB = 35.0
 
 UNSEEN, UNSEEN_SIDE = 12, 800
 """Views without the key, and their pixels a side."""
-BUDGETS_DB = (45.0, 40.0, 37.5, 35.0)
+BUDGETS_DB, AUTO_DB = (45.0, 40.0, 37.5, 35.0), 40.0
 PICTURES = 3
 """Of the unseen views, kept as JPEG 10 and read."""
 JPEG_10 = Trial("picture, JPEG 10", (("jpeg", 10),), "", "image")
@@ -56,26 +57,33 @@ FIELDS = (
 
 
 def measure_budgets(scene: str, seed: int, profile: str, device: str) -> list[Row]:
-    """The whole model, and every pruning budget without and with recovery: what is left, what it costs, and what views
-    show that neither the key nor the fit knows."""
-    plain, rows = named_profile(profile, landmark_views=0, device=device), []
-    cases = [(None, False), *((db, recover) for db in BUDGETS_DB for recover in (False, True))]
-    for budget, recover in cases:
+    """The whole model, pruned and compact ones without and with recovery, and what `auto` makes of one budget: what is
+    left, what it costs, and what views show that neither the key nor the fit knows, of files read back, too."""
+    plain, rows = named_profile(profile, landmark_views=0, device=device), list[Row]()
+    cases: list[tuple[str, float | None, bool]] = [("whole", None, False), (AUTO, AUTO_DB, True)]
+    cases += itertools.product(("pruned", "compact"), BUDGETS_DB, (False, True))
+    for output, wanted_db, recover in cases:
+        prune = PruneConfig(budget_db=None if output == "compact" else wanted_db, recover=recover)
+        config: Settings = replace(plain, prune=prune)
+        if output == "compact":
+            config = replace(plain, prune=prune, output=output, compact_db=wanted_db or 0.0)
+        elif output == AUTO:
+            config = Auto(replace(Auto().start, prune=prune, device=device), format="sog")
         began, at = time.process_time(), time.perf_counter()
-        prune = PruneConfig(budget_db=budget, recover=recover)
-        made = mark_scene(scene, replace(plain, prune=prune), seed=seed)
+        made = mark_scene(scene, config, seed=seed)
         seconds = {"cpu_seconds": time.process_time() - began, "seconds": time.perf_counter() - at}
         views = other_views(made.original, UNSEEN, UNSEEN_SIDE, (seed, 0x5EE))
+        unseen = worst_psnr_against([render(made.original, camera) for camera in views], views)
         pictures = [(to_8_bit(render(made.marked, camera)), camera) for camera in views[:PICTURES]]
         readings = [read_attacked(made, JPEG_10, seed, picture, camera) for picture, camera in pictures]
-        pruned = [psnr(render(made.original, camera), render(made.opened.reference, camera)) for camera in views]
-        row: Row = {"scene": Path(scene).name, "budget_db": budget, "recover": recover, **seconds}
+        row: Row = {"scene": Path(scene).name, "output": output, "wanted_db": wanted_db, "recover": recover, **seconds}
         row |= {field: made.report[field] for field in FIELDS if field in made.report}
-        rows.append(
-            row
-            | {"psnr_pruned_unseen": min(pruned), "z_jpeg_10": min(reading.claim.z for reading in readings)}
-            | {f"{kind}_bytes": len(encode_model(made.marked, kind)) for kind in ("ply", "sog")}
-        )
+        row |= {"psnr_pruned_unseen": unseen(made.opened.reference)}
+        row |= {"z_jpeg_10": min(reading.claim.z for reading in readings)}
+        for kind in ("ply", "sog"):
+            written = encode_model(made.marked, kind)
+            row |= {f"{kind}_bytes": len(written), f"{kind}_unseen": unseen(read_model(written).model)}
+        rows.append(row)
     return rows
 
 
