@@ -56,7 +56,9 @@ class UploadList(Listed[Upload]):
     "",
     status_code=201,
     operation_id="createUpload",
-    responses=responses("malformed-request", "unauthorized", "forbidden", "too-large", "invalid-request"),
+    responses=responses(
+        *("malformed-request", "unauthorized", "forbidden", "too-large", "invalid-request", "budget-exceeded")
+    ),
 )
 def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Response) -> Upload:
     """Open a slot; send the bytes with PUT."""

@@ -1,6 +1,6 @@
 """A pytest plugin: keeps every input that the readers refuse, so that the service can be fed the same.
 
-`python -m pytest tests/formats -p tests.service.refused_inputs` with MARK3DGS_REFUSED_DIR set.
+`python -m pytest tests/formats -m "not docker" -p tests.service.refused_inputs` with MARK3DGS_REFUSED_DIR set.
 """
 
 from __future__ import annotations
@@ -13,20 +13,38 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError
-from engine.formats import ksplat, splat
 from engine.formats import model_reading as reading
+from engine.formats import points
 from engine.formats.gltf import scene as gltf
+from engine.formats.kinds import ksplat, splat
 from engine.formats.ply import compressed as compressed_ply
 from engine.formats.ply import gaussians as ply
 from engine.formats.sog import bundle as sog
 from engine.formats.spz import stream as spz
+from engine.formats.usd import scene as usd
 
 MOST_BYTES = 64 << 20
+READERS: tuple[tuple[Any, str], ...] = (
+    (ply, "read_ply"),
+    (compressed_ply, "read_compressed_ply"),
+    (splat, "read_splat"),
+    (spz, "read_spz"),
+    (sog, "read_sog"),
+    (gltf, "read_gltf"),
+    (ksplat, "read_ksplat"),
+    (usd, "read_usd"),
+    (points, "read_points"),
+    (reading, "_decode"),
+)
 
 
 def pytest_configure() -> None:
     """Wrap the readers before any test takes hold of them."""
-    folder = Path(os.environ["MARK3DGS_REFUSED_DIR"])
+    keep_refused(Path(os.environ["MARK3DGS_REFUSED_DIR"]))
+
+
+def keep_refused(folder: Path, put: Callable[[Any, str, Any], None] = setattr) -> None:
+    """Make the readers write what they refuse to a folder."""
 
     def wrapped(read: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(read)
@@ -40,14 +58,5 @@ def pytest_configure() -> None:
 
         return recording
 
-    for module, name in (
-        (ply, "read_ply"),
-        (compressed_ply, "read_compressed_ply"),
-        (splat, "read_splat"),
-        (spz, "read_spz"),
-        (sog, "read_sog"),
-        (gltf, "read_gltf"),
-        (ksplat, "read_ksplat"),
-        (reading, "_decode"),
-    ):
-        setattr(module, name, wrapped(getattr(module, name)))
+    for module, name in READERS:
+        put(module, name, wrapped(getattr(module, name)))

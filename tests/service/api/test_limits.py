@@ -64,6 +64,7 @@ def test_uploads_under_way(api: Api, set_up: SetUp) -> None:
     set_up(open_uploads=2)
     codes = [api.client.post("/v1/uploads", json={"size": 10}).status_code for _ in range(3)]
     assert codes == [201, 201, 429]
+    assert "429" in api.client.get("/openapi.json").json()["paths"]["/v1/uploads"]["post"]["responses"]
 
 
 def _asset(api: Api, number: int, **values: Any) -> str:

@@ -1,6 +1,6 @@
 """Uploads against a model of their protocol: one offset, moved by compare and set, whatever clients do at a time.
 
-MARK3DGS_UPLOAD_STEPS sets how many steps are played (400): `MARK3DGS_UPLOAD_STEPS=10000 pytest ...` for a long run.
+MARK3DGS_UPLOAD_STEPS sets how many steps are played (400): `MARK3DGS_UPLOAD_STEPS=10000 pytest -m '' ...` for many.
 """
 
 from __future__ import annotations
