@@ -85,8 +85,7 @@ def plain_types(
         return records, []
     odd = next((name for name in whole if fields[name].itemsize != 2), None)
     if odd is None:
-        order = {name: t.str[0] for name, t in fields.items()}
-        as_halves = np.dtype([(name, f"{order[name]}f2" if name in whole else t) for name, t in fields.items()])
+        as_halves = np.dtype([(name, f"{t.str[0]}f2" if name in whole else t) for name, t in fields.items()])
         viewed: npt.NDArray[np.void] = records.view(as_halves)
         odd = next((name for name in whole if not _plausible(viewed[name], name)), None)
         with np.errstate(invalid="ignore"):  # signalling NaN
