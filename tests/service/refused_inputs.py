@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError
-from engine.formats import ksplat, splat
 from engine.formats import model_reading as reading
 from engine.formats.gltf import scene as gltf
+from engine.formats.kinds import ksplat, splat
 from engine.formats.ply import compressed as compressed_ply
 from engine.formats.ply import gaussians as ply
 from engine.formats.sog import bundle as sog
