@@ -113,7 +113,7 @@ _KINDS = (
     ),
     _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
     _Other(
-        f"is a point cloud, {_NO_MODEL}",
+        f"is a point cloud, {_NO_MODEL}; verify also takes one with colors, saved as .ply",
         (b"LASF", b"ASTM-E57", b"# .PCD", b"VERSION .7"),
         endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx", "points3d.bin", "points3d.txt"),
     ),
