@@ -4,6 +4,7 @@ encoded there, such as a file's name that is no UTF-8, is escaped."""
 from __future__ import annotations
 
 import json
+import re
 import sys
 import textwrap
 import time
@@ -23,6 +24,8 @@ Progress = Callable[[str, float], None]
 
 DATA_ON_STDOUT: ContextVar[bool] = ContextVar("DATA_ON_STDOUT", default=False)
 """Whether stdout is a file that is written: then results for people and machines go to stderr."""
+
+_CONTROLS = re.compile(r"[^\n\t -~\xa0-\U0010ffff]")
 
 LONG_STAGE_SECONDS = 2.0
 """Where stderr is no terminal, a stage that took longer leaves a line."""
@@ -120,7 +123,8 @@ def _results() -> TextIO:
 
 def _write(stream: TextIO, text: str) -> None:
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    stream.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+    shown = _CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)  # a file's name may hold a terminal's commands
+    stream.write(shown.encode(encoding, "backslashreplace").decode(encoding) + "\n")
     stream.flush()
 
 

@@ -29,10 +29,8 @@ class Range:
         """(N,) which Gaussians are clipped by more than rounding."""
         found = {"colors": model.sh[:, 0], "harmonics": model.sh[:, 1:], "sizes": model.log_scales}[self.name]
         values = found.reshape(len(model), -1)
-        if not values.shape[1]:
-            return np.zeros(len(model), dtype=np.bool_)
-        low, high = self.low - self.step / 2, self.high + self.step / 2
-        return np.asarray((values.min(axis=1) < low) | (values.max(axis=1) > high))
+        low, high = self.low - self.step / 2, self.high + self.step / 2  # of either sign
+        return np.asarray((values.min(axis=1, initial=0) < low) | (values.max(axis=1, initial=0) > high))
 
 
 @dataclass(frozen=True)
@@ -61,6 +59,7 @@ class Kind:
     holds: tuple[Held, ...] = ()
     ranges: tuple[Range, ...] = ()
     rounded: Callable[[Float32], Float64] | None = None  # means as the file holds them, if one range is for many rows
+    colors: Callable[[GaussianModel], Float64] | None = None  # those of degree 0 as the file holds them, likewise
     step: Callable[[Float64], float] | None = None  # of means (N, 3) in such a range, scene units
 
 

@@ -17,7 +17,9 @@ from engine.formats.known_formats import FORMATS, KIND_BY_NAME, kind_of
 from engine.formats.modes import ANTIALIASED, mode_of
 from engine.formats.ply.extras import named
 from engine.formats.repairs import VISIBLE_ROUNDING
-from engine.model import Bool, Carried, Float32, GaussianModel
+from engine.model import SH_C0, Bool, Carried, Float32, GaussianModel
+
+VISIBLE_LEVELS = 4  # of 255, in a color
 
 STRAY_SHARE = 0.002
 """Of all Gaussians, at most: more of them are a part of the scene. Twice the thousandth that trainers leave behind."""
@@ -144,6 +146,12 @@ def _losses(model: GaussianModel, kind: Kind) -> Iterator[str]:
         if len(rows):
             most = f"up to {error[rows].max():.2g}, more than 1/20 of their size"
             yield f"{_counted(model, rows)}: .{kind.name} rounds their centers by {most}"
+    if kind.colors:
+        levels = 255 * SH_C0 * np.abs(kind.colors(model) - model.sh[:, 0]).max(axis=1)
+        rows = np.flatnonzero(levels > VISIBLE_LEVELS)
+        if len(rows):
+            most = f"up to {levels[rows].max():.0f} of 255 levels: a neighbor is far brighter or darker than colors are"
+            yield f"{_counted(model, rows)}: .{kind.name} rounds their colors by {most}"
 
 
 def _counted(model: GaussianModel, rows: npt.NDArray[np.intp]) -> str:

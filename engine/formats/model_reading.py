@@ -12,8 +12,9 @@ from engine.formats.declaration import Kind, Place, Read
 from engine.formats.guards import opening, read_regular
 from engine.formats.kinds.splat import RECORD, SPLAT, looks_like_splat
 from engine.formats.known_formats import KINDS, READ
-from engine.formats.other_files import advice_for, changed_as_text
+from engine.formats.other_files import ZIP_WITHOUT_SCENE, advice_for, changed_as_text
 from engine.formats.repairs import Repair
+from engine.formats.sog.archive import ZipArchive
 from engine.formats.wrappings import unwrapped
 from engine.model import GaussianModel
 
@@ -111,8 +112,10 @@ def _told(data: bytes, file: str) -> Kind:
         raise FormatError("is empty", file=file)
     if looks_like_splat(data[: len(data) // RECORD.itemsize * RECORD.itemsize]):
         SPLAT.read(data, file, Place())  # says that it is cut off
-    none = f"is none of the formats read here: {', '.join(READ)}"
-    raise UnsupportedFormatError(advice_for(data, file) or none, file=file)
+    advice = advice_for(data, file)
+    if advice == ZIP_WITHOUT_SCENE:
+        ZipArchive(data, file=file)  # says where it is damaged
+    raise UnsupportedFormatError(advice or f"is none of the formats read here: {', '.join(READ)}", file=file)
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:

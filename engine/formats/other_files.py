@@ -108,11 +108,12 @@ _KINDS = (
     _Other(
         "begins like a PLY, but its first line is not 'ply' alone: a text editor or a redirected output changed it;"
         " export it again",
-        (b"\xef\xbb\xbfply", b"PLY", b"ply ", "ply".encode("utf-16"), "\ufeffply".encode("utf-16-be")),
+        (b"PLY", "ply".encode("utf-16"), "\ufeffply".encode("utf-16-be")),
+        lambda data: data[:64].lstrip(_BLANKS).startswith((b"ply\n", b"ply\r", b"ply ")),
     ),
     _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
     _Other(
-        f"is a point cloud, {_NO_MODEL}",
+        f"is a point cloud, {_NO_MODEL}; verify also takes one with colors, saved as .ply",
         (b"LASF", b"ASTM-E57", b"# .PCD", b"VERSION .7"),
         endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx", "points3d.bin", "points3d.txt"),
     ),
@@ -124,6 +125,11 @@ _KINDS = (
         (".obj", ".fbx", ".stl", ".dae", ".blend", ".3ds", ".off"),
     ),
     _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
+    _Other(
+        "is a picture, no model: verify alone takes one",
+        (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*"),
+        lambda data: data[8:12] == b"WEBP" or _boxed(b"avif", b"avis")(data),
+    ),
     _Other(
         "is a picture of a kind that is not read (JPEG 2000, JPEG XL, JPEG XR, PSD, SVG, EXR, HDR, TGA, KTX and the"
         " like): save it as PNG or JPEG, as it is displayed",

@@ -101,15 +101,14 @@ def clean(
     if bad.any():
         first = int(np.argmax(bad))
         attribute = next(name for name, fault in faults.items() if fault[first])
-        rows_of = {"means": means, "log_scales": log_scales, "quats": quats, "sh": sh}
-        prop, value = _name_fault(attribute, rows_of.get(attribute, opacity_logits[:, None])[first])
+        arrays = (means, log_scales, quats, opacity_logits, sh)
+        prop, value = _name_fault(attribute, dict(zip(faults, arrays, strict=True))[attribute][first])
         if bad.all():
             message = f"no Gaussian is usable; the value here is {value}"
             raise FormatError(message, file=file, element=element, row=int(origin[first]), prop=prop)
         why = f"left out, because a value is no number of a scene ({prop} = {value})"
         log.note("rows_dropped", np.flatnonzero(bad), why)
         log.rows = rows = FileRows(origin[~bad], len(bad) if rows is None else rows.count)
-        arrays = (means, log_scales, quats, opacity_logits, sh)
         means, log_scales, quats, opacity_logits, sh = (array[~bad] for array in arrays)
     log_scales = _clamp_scales(log_scales, log)
     opacity_logits = _clamp_opacities(opacity_logits, log)

@@ -9,7 +9,7 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.guards import GZIP_MAGIC, gunzip
 from engine.formats.kinds.splat import looks_like_splat
 from engine.formats.ply.extras import named
-from engine.formats.sog.archive import META, ZipArchive
+from engine.formats.sog.archive import ZipArchive
 from engine.formats.sog.levels import LOD_META
 
 _FREE_BYTES, _RATIO = 1 << 28, 16
@@ -17,8 +17,8 @@ _FREE_BYTES, _RATIO = 1 << 28, 16
 
 _MODELS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".obj", ".usdz")
 _NAMES_OTHERS = (".gltf", ".obj")
-_OWN = (META, LOD_META, ".usd", ".usda", ".usdc")
-"""Ends of names in archives that are a format themselves."""
+_OWN = ("means_l.webp", "means_l.png", LOD_META, ".usd", ".usda", ".usdc")
+"""Ends of names in archives that are a format themselves; a meta.json alone may be anybody's."""
 
 
 @contextmanager

@@ -33,6 +33,13 @@ def test_people_and_machines(capsys: pytest.CaptureFixture[str]) -> None:
             assert (captured.out, captured.err) == ("text\n", "beside\n")
 
 
+def test_a_files_name_is_no_command_to_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console(False)
+    console.say("\x1b[31mscene\x07.ply: ply, für 日本\t1")
+    console.note("\x9b2Jscene.ply")
+    assert capsys.readouterr() == ("\\x1b[31mscene\\x07.ply: ply, für 日本\t1\n", "\\x9b2Jscene.ply\n")
+
+
 def test_long_stages_leave_a_line_where_there_is_no_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

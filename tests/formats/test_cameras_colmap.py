@@ -64,6 +64,9 @@ def test_colmap_text_by_name_of_image(tmp_path: Path, model: str, parameters: st
         warnings.simplefilter("error")
         for path in (folder, folder / "cameras.txt", folder / "images.txt", tmp_path):
             assert_close(read_cameras(path), posed(300, fy))
+    for name in ("cameras.txt", "images.txt"):  # as editors of Windows save them
+        (folder / name).write_bytes(b"\xef\xbb\xbf" + (folder / name).read_bytes())
+    assert_close(read_cameras(folder), posed(300, fy))
 
 
 def test_colmap_binary(tmp_path: Path) -> None:

@@ -323,3 +323,10 @@ def test_meshes_attributes_and_targets_beside_gaussians_are_named() -> None:
     parsed["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}})
     (told,) = (each.text for each in read_model(glb_of(parsed, binary)).repairs)
     assert all(name in told for name in ("'1 meshes or points without Gaussians'", "'_LABEL'", "'targets'"))
+
+
+def test_an_accessor_of_zeros_without_bytes_is_named() -> None:
+    parsed, binary = asset_of(splats(9, 0))
+    del parsed["accessors"][1]["bufferView"]
+    with pytest.raises(UnsupportedFormatError, match="zeros without bytes"):
+        read_model(glb_of(parsed, binary))

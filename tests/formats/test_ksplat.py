@@ -115,7 +115,7 @@ def test_it_is_told_without_a_magic_and_not_written() -> None:
     assert not looks_like_ksplat(encode_model(random_model(0, 300), "splat"))
     assert not looks_like_ksplat(bytes(HEADER + SECTION_HEADER))
     with pytest.raises(FormatError, match="its header alone"):
-        read_model(b"hello", name="Scene.KSPLAT")
+        read_model(WHOLE[:100], name="Scene.KSPLAT")
     with pytest.raises(UnsupportedFormatError, match="is not written here"):
         encode_model(random_model(0, 10), "ksplat")
 

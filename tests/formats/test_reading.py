@@ -53,9 +53,26 @@ def test_the_name_is_what_messages_call_the_file() -> None:
 
 def test_other_formats_are_refused_by_name() -> None:
     with pytest.raises(UnsupportedFormatError, match=r"\.ksplat version 0\.0"):
-        read_model(bytes(4096), name="Scene.KSPLAT")
+        read_model(bytes(4095) + b"\1", name="Scene.KSPLAT")
     with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: .*ply, compressed\.ply, .*spz"):
         read_model(b"hello\0", name="scene.ply")
+
+
+@pytest.mark.parametrize("ending", ["ply", "ksplat"])
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"<!DOCTYPE html><title>404</title>" + b" " * 5000, "is a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\nsize 9\n", "git lfs pull"),
+        (b'{"error": "not found"}', "is text, no model"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(5000), "is a picture, no model"),
+        (b"\0\0\0\x20ftypavif" + bytes(5000), "is a picture, no model"),
+        (b"\n" + TRAIN.read_bytes(), "begins like a PLY"),
+    ],
+)
+def test_what_was_saved_under_a_models_name_is_named(content: bytes, what: str, ending: str) -> None:
+    with pytest.raises(UnsupportedFormatError, match=what):
+        read_model(content, name=f"scene.{ending}")
 
 
 def test_paths_that_are_no_files(tmp_path: Path) -> None:

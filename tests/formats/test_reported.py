@@ -291,6 +291,9 @@ def test_flat_gaussians_do_not_lie_far_out(flat: float) -> None:
     rows[:, NAMES.index("scale_0") : NAMES.index("scale_0") + 3] = [-4, -4, flat]
     loaded = read_model(plain_ply(NAMES, rows))
     assert "centers_coarse" not in [each.code for each in loaded.repairs]
+    needles = rows.copy()
+    needles[:, NAMES.index("scale_1")] = flat
+    assert "centers_coarse" not in [each.code for each in read_model(plain_ply(NAMES, needles)).repairs]
     rows[:, 0] += 4e6
     assert "centers_coarse" in [each.code for each in read_model(plain_ply(NAMES, rows)).repairs]
 

@@ -102,3 +102,12 @@ def test_two_models_in_one_file_are_refused() -> None:
     assert read_model(data + bytes(2)).format == "sog"
     with pytest.raises(FormatError, match="two models at once"):
         read_model(data + fill.to_bytes(2, "little") + bytes(fill))
+
+
+def test_a_row_that_is_no_gaussian_is_told() -> None:
+    """Bytes that a program put before the rows are a Gaussian to every reader; its rotation shows it."""
+    data = encode_model(random_model(0, 300), "splat")
+    assert read_model(data).repairs == ()
+    (told,) = read_model(b"HEAD" * 8 + data).repairs
+    assert (told.code, told.count) == ("quaternions_normalized", 1)
+    assert "row 0" in told.text

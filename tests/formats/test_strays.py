@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from engine.formats import FORMATS, encode_model, read_model
 from engine.formats.file_writing import loss_note, stray_rows
-from engine.model import GaussianModel
+from engine.model import SH_C0, GaussianModel
 from tests.formats.models import random_model
 
 
@@ -54,3 +54,18 @@ def test_what_belongs_to_a_scene_is_no_stray() -> None:
     assert not stray_rows(sky).any()
     assert not stray_rows(np.zeros((100, 3), np.float32)).any()
     assert not stray_rows(random_model(0, 500).means).any()
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_stray_color_costs_its_neighbors_nothing_in_silence(format: str) -> None:
+    model = random_model(0, 2000)
+    told = [note for note in loss_note(model, format) if "levels" in note]
+    assert told == []
+    model.sh[700, 0] = [3000, -2000, 0]
+    back = read_model(encode_model(model, format)).model
+    found, meant = (np.clip(0.5 + SH_C0 * each.sh[:, 0], 0, 1) for each in (back, model))
+    there = cKDTree(back.means).query(model.means)[1]
+    off = np.flatnonzero(np.abs(found[there] - meant).max(axis=1) > 5 / 255)
+    told = [note for note in loss_note(model, format) if "levels" in note]
+    assert len(told) == (len(off) > 0) == (format == "compressed.ply")
+    assert all(int(note.split()[0]) >= len(off) > 100 for note in told)

@@ -197,3 +197,40 @@ def test_colors_of_linear_light_are_refused() -> None:
     with pytest.raises(UnsupportedFormatError, match="colors are 'lin_rec709_scene', read are those of screens"):
         read_model(scene(body=name.format("lin_rec709_scene")))
     assert read_model(scene(body=name.format("srgb_rec709_display"))).repairs == ()
+
+
+@needs_usd
+def test_instances_are_shown_where_they_stand() -> None:
+    """A reference within the file is none to another one."""
+    placed = 'double3 xformOp:translate = (8, 0, 0)\n    uniform token[] xformOpOrder = ["xformOp:translate"]'
+    instance = f'def Xform "Copy" (instanceable = true\n references = </World>)\n{{\n{placed}\n}}\n'
+    loaded = read_model(scene() + instance.encode())
+    assert loaded.model.means[:, 0].tolist() == [0, 1, 8, 9]
+
+
+@needs_usd
+@pytest.mark.parametrize(("purpose", "shown"), [("render", True), ("proxy", False), ("guide", False)])
+def test_what_stands_in_for_a_scene_is_not_shown_with_it(purpose: str, shown: bool) -> None:
+    other = scene().replace(b"#usda 1.0", b"").replace(b'"World"', b'"Other"')
+    other = other.replace(b"{", b'{\n    uniform token purpose = "%s"' % purpose.encode(), 1)
+    loaded = read_model(scene() + other)
+    assert len(loaded.model) == 2 + 2 * shown
+    assert [each.count for each in loaded.repairs] == [1] * (not shown)
+
+
+@needs_usd
+def test_map_coordinates_of_a_transform_keep_their_precision() -> None:
+    far = 'double3 xformOp:translate = (512000, 5400000, 100)\n    uniform token[] xformOpOrder = ["xformOp:translate"]'
+    loaded = read_model(
+        scene(above=far).replace(b"(1, 1, 1), (0.5, 0.25, 2)", b"(0.01, 0.01, 0.01), (0.01, 0.01, 0.01)")
+    )
+    assert loaded.model.origin == (512000.0, 5400000.0, 100.0)
+    assert loaded.model.means.tolist() == [[0, 0, 0], [1, 0, 0]]
+    assert [each.code for each in loaded.repairs] == ["origin_moved"]
+
+
+@needs_usd
+def test_more_coefficients_than_the_degree_has_are_refused() -> None:
+    """The first of them all would be those of the first Gaussians."""
+    with pytest.raises(FormatError, match="has 8 coefficients for 2 Gaussians of degree 0"):
+        read_model(scene(coefficients=8))

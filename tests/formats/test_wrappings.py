@@ -59,6 +59,29 @@ def test_formats_that_are_archives_themselves_are_no_wrapping() -> None:
     assert read_model(zip_of(scene | {"first.ply": b"ply"})).format == "sog"
 
 
+@pytest.mark.parametrize("name", ["meta.json", "Scan/meta.json", "scene_meta.json"])
+def test_a_meta_json_beside_a_model_may_be_anybodys(name: str) -> None:
+    """Platforms put what they know of a scan into one."""
+    loaded = read_model(zip_of({"Scan/scene.ply": encode_model(MODEL, "ply"), name: b'{"title": "scan"}'}))
+    assert (loaded.format, loaded.repairs[0].code) == ("ply", "unwrapped")
+
+
+def test_a_damaged_archive_is_no_archive_without_a_model() -> None:
+    whole, twice = zip_of({"scene.ply": encode_model(MODEL, "ply")}), io.BytesIO()
+    with zipfile.ZipFile(twice, "w") as archive:
+        archive.writestr("scene.ply", b"ply")
+        with pytest.warns(UserWarning, match="Duplicate"):
+            archive.writestr("scene.ply", b"ply")
+    photos = {f"photos/{i:060}.jpg": b"" for i in range(700)}
+    for data, what in (
+        (whole[:-30], "its end is cut off"),
+        (twice.getvalue(), "two entries of this name: unpack it"),
+        (zip_of(photos | {"scene.ply": b"ply"}), "far more entries than a scene has: unpack it"),
+    ):
+        with pytest.raises(FormatError, match=what):
+            read_model(data)
+
+
 def test_a_gltf_in_an_archive_may_name_what_lies_in_it() -> None:
     parsed, binary = asset_of(splats(40, 1))
     beside = json.dumps(parsed | {"buffers": [{"byteLength": len(binary), "uri": "bin/scene%201.bin"}]}).encode()

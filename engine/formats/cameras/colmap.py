@@ -116,7 +116,7 @@ def _intrinsics(model: str, width: int, height: int, parameters: list[float], wh
 
 def _text_cameras(data: bytes, file: str) -> dict[int, _Intrinsics]:
     cameras = {}
-    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -133,7 +133,7 @@ def _text_cameras(data: bytes, file: str) -> dict[int, _Intrinsics]:
 def _text_images(data: bytes, file: str) -> list[_Image]:
     """Every image has two lines, the second of which lists points and may be empty."""
     images, points_follow = [], False
-    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), 1):
         if line.startswith("#"):
             continue
         # Some programs leave the lines of points out; those end with a point's number, an image with its name.

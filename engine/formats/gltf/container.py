@@ -92,8 +92,8 @@ class Asset:
         width; UnsupportedFormatError if it is sparse.
         """
         accessor, element = self.row("accessors", index), f"accessor {index}"
-        if "sparse" in accessor:
-            message = "is sparse, which is not read: export it as .ply or .spz"
+        if "sparse" in accessor or "bufferView" not in accessor:
+            message = "is sparse, or zeros without bytes, which is not read: export it as .ply or .spz"
             raise UnsupportedFormatError(message, file=self.file, element=element, prop=prop)
         code, kind = accessor.get("componentType"), accessor.get("type")
         width = _WIDTHS.get(str(kind))

@@ -4,15 +4,17 @@ Khronos Group, "glTF 2.0 Specification", section 3.5. What stretches Gaussians u
 harmonics would have no place to go.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from engine.errors import UnsupportedFormatError
+from engine.formats.declaration import Read
 from engine.formats.gltf.container import Asset
-from engine.model import Float64
-from engine.numerics.similarity import quaternion_to_rotation
+from engine.formats.repairs import VISIBLE_ROUNDING, Repair
+from engine.model import Float64, GaussianModel, joined
+from engine.numerics.similarity import quaternion_to_rotation, transform_model
 
 MAX_NODES = 1 << 14
 VISIBILITY = "KHR_node_visibility"
@@ -63,7 +65,30 @@ def primitives_of(asset: Asset, mesh: object) -> list[Mapping[str, Any]]:
     return found
 
 
-def as_similarity(matrix: Float64, *, file: str) -> tuple[float, Float64, Float64]:
+def placed(parts: Iterable[tuple[GaussianModel, Iterable[Repair], Float64]], *, file: str) -> Read:
+    """Parts of a scene, with what was mended, where their matrices (4, 4), in PLY's axes, put them; around the first
+    one's place, as the origin, where float32 would round centers as far out."""
+    models: list[GaussianModel] = []
+    repairs: list[Repair] = []
+    origin = np.zeros(3)
+    for model, mended, matrix in parts:
+        repairs += mended
+        scale, rotation, shift = _as_similarity(matrix, file=file)
+        step = float(np.spacing(np.float32(np.abs(shift).max()))) / 2  # that of float32
+        if not models and step > VISIBLE_ROUNDING * float(np.median(scale * model.scales)):
+            origin = np.rint(shift)
+        if origin.any() or (matrix != np.eye(4)).any():
+            model = transform_model(model, scale, rotation, shift - origin)
+        models.append(model)
+    if origin.any():
+        x, y, z = origin.tolist()
+        text = f"centers far out, which float32 would round: read relative to ({x:.0f}, {y:.0f}, {z:.0f})"
+        repairs.append(Repair("origin_moved", sum(map(len, models)), text))
+        return joined(models).with_(origin=(x, y, z)), tuple(repairs)
+    return joined(models), tuple(repairs)
+
+
+def _as_similarity(matrix: Float64, *, file: str) -> tuple[float, Float64, Float64]:
     """Scale, rotation (3, 3) and shift (3,) of a matrix; UnsupportedFormatError if it stretches, shears or mirrors."""
     linear = matrix[:3, :3]
     scale = float(np.cbrt(max(np.linalg.det(linear), 0.0)))

@@ -19,15 +19,14 @@ import numpy.typing as npt
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.declaration import Place
 from engine.formats.gltf.container import MAGIC, UNPACK, Asset, pack_glb, unpack
-from engine.formats.gltf.nodes import VISIBILITY, as_similarity, primitives_of, shown_meshes
+from engine.formats.gltf.nodes import VISIBILITY, placed, primitives_of, shown_meshes
 from engine.formats.guards import check_count
 from engine.formats.ply.extras import named
-from engine.formats.repairs import VISIBLE_ROUNDING, Repair, clean, degree_dropped
+from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.spz.frames import FrameChange
 from engine.formats.spz.stream import read_spz
-from engine.model import Float32, GaussianModel, joined
+from engine.model import Float32, GaussianModel
 from engine.numerics.plain import Json
-from engine.numerics.similarity import transform_model
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOR_SPACE = "srgb_rec709_display"
@@ -91,29 +90,10 @@ def read_gltf(data: bytes, *, file: str, place: Place | None = None) -> tuple[Ga
     if plain:
         size = len(data) + asset.size_beside
         check_count(sum(asset.length(attributes["POSITION"]) for attributes in plain), size, file=file)
-    parts: list[GaussianModel] = []
-    repairs = _left_out(asset, [primitive for primitive, _ in shown])
-    origin = np.zeros(3)  # of tiles of a globe: that of their first primitive
-    for primitive, matrix in shown:
-        read = _read_primitive if _spz_view(primitive) is None else _read_spz
-        model, mended = read(asset, primitive)
-        repairs += mended
-        if (matrix != np.eye(4)).any():
-            flip = np.diag([*TO_PLY.signs, 1.0])
-            scale, rotation, shift = as_similarity(flip @ matrix @ flip, file=file)
-            step = float(np.spacing(np.float32(np.abs(shift).max()))) / 2  # that of float32
-            if not parts and step > VISIBLE_ROUNDING * float(np.median(scale * model.scales)):
-                origin = np.rint(shift)
-            model = transform_model(model, scale, rotation, shift - origin)
-        elif origin.any():
-            model = transform_model(model, 1.0, np.eye(3), -origin)
-        parts.append(model)
-    if origin.any():
-        x, y, z = origin.tolist()
-        text = f"centers far out, which float32 would round: read relative to ({x:.0f}, {y:.0f}, {z:.0f})"
-        repairs.append(Repair("origin_moved", sum(map(len, parts)), text))
-        return joined(parts).with_(origin=(x, y, z)), tuple(repairs)
-    return joined(parts), tuple(repairs)
+    flip = np.diag([*TO_PLY.signs, 1.0])
+    parts = ((*_read_primitive(asset, primitive), flip @ matrix @ flip) for primitive, matrix in shown)
+    model, repairs = placed(parts, file=file)
+    return model, (*_left_out(asset, [primitive for primitive, _ in shown]), *repairs)
 
 
 def _left_out(asset: Asset, shown: list[Mapping[str, Any]]) -> list[Repair]:
@@ -261,6 +241,8 @@ def _read_spz(asset: Asset, primitive: Mapping[str, Any]) -> tuple[GaussianModel
 
 
 def _read_primitive(asset: Asset, primitive: Mapping[str, Any]) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    if _spz_view(primitive) is not None:
+        return _read_spz(asset, primitive)
     attributes = _attributes(asset, primitive)
     count = asset.length(attributes["POSITION"])
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.declaration import Kind
 from engine.formats.guards import check_count
+from engine.formats.other_files import advice_for
 from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
 from engine.model import SH_C0, Float32, GaussianModel
 
@@ -167,9 +168,9 @@ def _spread(values: Float32, sh: Float32) -> None:
 
 
 def _is_one(data: bytes, file: str) -> bool:
-    """The name alone counts, too, unless it is an archive's."""
-    named = file.lower().endswith(".ksplat") and len(data) > 0 and not data.startswith(b"PK")
-    return named or looks_like_ksplat(data)
+    """The name alone counts, too, unless the content shows what else it is."""
+    named = file.lower().endswith(".ksplat") and len(data) > 0
+    return looks_like_ksplat(data) or (named and advice_for(data, "") is None)
 
 
 KINDS = (Kind("ksplat", _is_one, lambda data, file, _: read_ksplat(data, file=file), guessed=True),)

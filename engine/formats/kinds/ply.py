@@ -3,7 +3,7 @@
 import numpy as np
 
 from engine.formats.declaration import Kind, Range
-from engine.formats.ply.compressed import is_compressed, read_compressed_ply, rounded_positions, write_compressed_ply
+from engine.formats.ply.compressed import is_compressed, read_compressed_ply, rounded, write_compressed_ply
 from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.formats.ply.header import parse_header
 
@@ -27,7 +27,8 @@ KINDS = (
         lambda model: [write_compressed_ply(model)],
         holds=("harmonics", "discs", "antialiasing", "comments"),
         ranges=(Range("sizes", -20.0, 20.0, 0.0), Range("harmonics", -4.0, 4.0, 1 / 16)),
-        rounded=rounded_positions,
+        rounded=lambda means: rounded(means, means, (2047, 1023, 2047)),
+        colors=lambda model: rounded(model.sh[:, 0], model.means, (255, 255, 255)),
         step=lambda means: float(np.ptp(means, axis=0).max()) / 2047,  # of the chunk that holds the stray
     ),
 )

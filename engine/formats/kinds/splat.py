@@ -43,7 +43,7 @@ def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, t
         log_scales = np.log(records["scales"])
         quats = (records["quats"].astype(np.float32) - 128) / 128
         norms = np.linalg.norm(quats, axis=1, keepdims=True)
-        quats /= np.where(norms > 0, norms, 1)  # eight bits never give unit length: no fault of the file
+        quats /= np.where(np.abs(norms - 1) < 0.02, norms, 1)  # eight bits never give unit length: no fault
         rgba = records["rgba"]
         logits = ALPHA_LOGITS.astype(np.float32)[rgba[:, 3]]
     dc = ((rgba[:, :3] / 255 - 0.5) / SH_C0).astype(np.float32)

@@ -33,12 +33,8 @@ def read_tables(
     length = header.size + sum(element.count * element.stride for element in header.elements)
     ends_as_text = bytes(data[length : length + 3]) in (b"\n", b"\r\n")
     offsets = _locate(data, header, length if ends_as_text else len(data), wanted[-1], file)
-    tables = {}
-    for element in header.elements:
-        if element.name in wanted:
-            dtype = element.dtype(header.byte_order)
-            tables[element.name] = np.frombuffer(data, dtype, element.count, offsets[element.name])
-    return tables
+    found = (e for e in header.elements if e.name in wanted)
+    return {e.name: np.frombuffer(data, e.dtype(header.byte_order), e.count, offsets[e.name]) for e in found}
 
 
 def _locate(data: bytes | memoryview, header: Header, length: int, until: str, file: str) -> dict[str, int]:

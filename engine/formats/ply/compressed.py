@@ -124,17 +124,16 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     return b"".join([header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), rest.tobytes()])
 
 
-def rounded_positions(means: Float32) -> Float64:
-    """(N, 3) centers as the file holds them, in the order given."""
+def rounded(values: Float32, means: Float32, tops: tuple[int, ...]) -> Float64:
+    """(N, 3) values as the file holds them, in the order given: in so many steps between the bounds of a chunk."""
     order = morton_order(means)
-    values = means[order].astype(np.float64)
-    low, high = _chunk_bounds(means[order], -(-len(means) // CHUNK))
-    tops = np.array([2047, 1023, 2047])
-    steps = np.clip(np.floor(_within(values, low, high) * tops + 0.5), 0, tops) / tops
-    box = np.repeat(np.hstack([low, high]).astype(np.float64), CHUNK, axis=0)[: len(values)]
-    rounded = np.empty_like(values)
-    rounded[order] = _between(box, steps)
-    return rounded
+    ordered = values[order].astype(np.float64)
+    low, high = _chunk_bounds(values[order], -(-len(means) // CHUNK))
+    steps = np.clip(np.floor(_within(ordered, low, high) * tops + 0.5), 0, tops) / tops
+    box = np.repeat(np.hstack([low, high]).astype(np.float64), CHUNK, axis=0)[: len(ordered)]
+    found = np.empty_like(ordered)
+    found[order] = _between(box, steps)
+    return found
 
 
 def _quantize_rest(sh: Float32, order: npt.NDArray[np.int64]) -> npt.NDArray[np.uint8]:

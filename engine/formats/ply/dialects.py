@@ -85,8 +85,7 @@ def plain_types(
         return records, []
     odd = next((name for name in whole if fields[name].itemsize != 2), None)
     if odd is None:
-        order = {name: t.str[0] for name, t in fields.items()}
-        as_halves = np.dtype([(name, f"{order[name]}f2" if name in whole else t) for name, t in fields.items()])
+        as_halves = np.dtype([(name, f"{t.str[0]}f2" if name in whole else t) for name, t in fields.items()])
         viewed: npt.NDArray[np.void] = records.view(as_halves)
         odd = next((name for name in whole if not _plausible(viewed[name], name)), None)
         with np.errstate(invalid="ignore"):  # signalling NaN
@@ -160,7 +159,7 @@ def _coarse(means: Float32, log_scales: Float32) -> list[Repair]:
     """What is said where most centers lie so far out that float32 had no digits left for them."""
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.spacing(np.abs(means).max(axis=1)) / 2
-        rows = np.flatnonzero(steps > VISIBLE_ROUNDING * np.exp(np.median(log_scales, axis=1)))
+        rows = np.flatnonzero(steps > VISIBLE_ROUNDING * np.exp(log_scales.max(axis=1)))  # thin ones are not far out
     if 2 * len(rows) <= len(means):
         return []
     text = (

@@ -104,13 +104,7 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     lines += [f"property {kinds[name]} {name}" for name in names] + properties
     yield ("\n".join([*lines, "end_header"]) + "\n").encode(*ANY_BYTES)
 
-    arrays = {
-        "means": model.means,
-        "log_scales": model.log_scales,
-        "quats": model.quats,
-        "opacity_logits": model.opacity_logits,
-        "sh": model.sh,
-    }
+    arrays = {name: getattr(model, name) for name in ("means", "log_scales", "quats", "opacity_logits", "sh")}
     columns: dict[str, npt.NDArray[Any]] = dict(_columns(arrays, frozenset(names)))
     dtype = [(name, "<f8" if kinds[name] == "double" else "<f4") for name in names]
     if model.carried is not None:

@@ -21,6 +21,7 @@ _STREAMED = b"lod-meta.json"
 _ZIP64_RECORD = 56
 """Bytes of a ZIP64 end record without extensible data, which no program writes."""
 
+_UNPACK = "unpack it, and give the model"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _DAMAGE = (
     *(zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError),
@@ -45,7 +46,7 @@ class ZipArchive:
             # Some programs on Windows write backslashes, tar writes "./".
             name = entry.filename.replace("\\", "/").removeprefix("./")
             if name in self._entries:
-                raise FormatError("zip archive holds two entries of this name", file=file, element=name)
+                raise FormatError(f"zip archive holds two entries of this name: {_UNPACK}", file=file, element=name)
             self._entries[name] = entry
 
     def read(self, name: str, limit: int) -> bytes:
@@ -154,4 +155,4 @@ def _check_directory(data: bytes, *, file: str) -> None:
         size = struct.unpack_from("<Q", data, end + 40)[0]
     most = _MAX_STREAMED_BYTES if _STREAMED in data[max(0, end - size) : end] else _MAX_DIRECTORY_BYTES
     if size > most:
-        raise FormatError("zip archive lists far more entries than a scene has", file=file)
+        raise FormatError(f"zip archive lists far more entries than a scene has: {_UNPACK}", file=file)

@@ -141,20 +141,16 @@ def _unpack_zstd(data: bytes, *, file: str) -> Payload:
     total = position + sum(packed for packed, _ in entries)
     if total != len(data):
         raise FormatError(f"streams end at byte {total}, the file at {len(data)}", file=file)
-    sections, index = [], 0
-    for size in sizes:
-        if size == 0:
-            sections.append(memoryview(b""))
-            continue
-        packed, unpacked = entries[index]
+    parts = []
+    for index, (size, (packed, unpacked)) in enumerate(zip(filter(None, sizes), entries, strict=True)):
         element = f"stream {index}"
         if unpacked != size:
             raise FormatError(f"holds {unpacked} bytes, {count} Gaussians take {size}", file=file, element=element)
-        stream = data[position : position + packed]
-        sections.append(memoryview(_unzstd(stream, size, file=file, element=element)))
-        position, index = position + packed, index + 1
+        parts.append(_unzstd(data[position : position + packed], size, file=file, element=element))
+        position += packed
+    filled = iter(parts)
     extensions = data[_HEADER_V4.size : toc] if flags & HAS_EXTENSIONS else b""
-    return Payload(header, tuple(sections), extensions)
+    return Payload(header, tuple(memoryview(next(filled) if size else b"") for size in sizes), extensions)
 
 
 def _unzstd(stream: bytes, size: int, *, file: str, element: str) -> bytes:

@@ -48,12 +48,8 @@ def _limit(size: int) -> None:
         import resource
     except ImportError:  # Windows has no such limits
         return
-    most = MEMORY_BYTES + MEMORY_PER_BYTE * size
-    for kind, limit in (
-        (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_AS, most),
-        (resource.RLIMIT_CPU, math.ceil(SECONDS)),
-    ):
+    most, seconds = MEMORY_BYTES + MEMORY_PER_BYTE * size, math.ceil(SECONDS)
+    for kind, limit in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, most), (resource.RLIMIT_CPU, seconds)):
         ceiling = resource.getrlimit(kind)[1]
         limit = limit if ceiling == resource.RLIM_INFINITY else min(limit, ceiling)
         resource.setrlimit(kind, (limit, limit))
@@ -68,14 +64,16 @@ def _arrays(path: Path) -> Iterator[tuple[str, npt.NDArray[Any]]]:
             message = f"refers to {len(others)} other files, first {others[0]!a:.60}: usdcat --flatten makes it one"
             raise UnsupportedFormatError(message)
         stage = Usd.Stage.Open(str(path))
-        prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == SCHEMA]
-        shown = [p for p in prims if UsdGeom.Imageable(p).ComputeVisibility() != UsdGeom.Tokens.invisible]
+        prims = list(stage.Traverse(Usd.TraverseInstanceProxies()))
+        gaussians = [UsdGeom.Imageable(prim) for prim in prims if prim.GetTypeName() == SCHEMA]
+        seen = [p for p in gaussians if p.ComputeVisibility() != UsdGeom.Tokens.invisible]
+        shown = [p.GetPrim() for p in seen if p.ComputePurpose() not in ("guide", "proxy")]
         if not shown:
             nurec = path.suffix == ".usdz" and any(name.endswith(".nurec") for name in ZipFile(path).namelist())
             what = "it is a volume of NVIDIA's NuRec: export the scene as .ply (3DGRUT does)"
             what = what if nurec else f"no prim that is shown is a {SCHEMA}"
             raise UnsupportedFormatError(f"holds no Gaussians: {what}")
-        yield OTHERS, np.array(list(_others(stage, shown)), dtype=np.str_)
+        yield OTHERS, np.array(list(_others(prims, shown)), dtype=np.str_)
         for number, prim in enumerate(shown):
             name = str(prim.GetPath())
             if any(UsdGeom.Xformable(p).TransformMightBeTimeVarying() for p in _upwards(prim) if UsdGeom.Xformable(p)):
@@ -102,12 +100,12 @@ def _upwards(prim: Any) -> Iterator[Any]:
         prim = prim.GetParent()
 
 
-def _others(stage: Any, shown: list[Any]) -> Iterator[str]:
+def _others(prims: list[Any], shown: list[Any]) -> Iterator[str]:
     """Paths of prims, and names of attributes of Gaussians, that are not read."""
-    for prim in stage.Traverse():
+    for prim in prims:
         if prim.GetTypeName() not in ("", "Xform", "Scope") and prim not in shown:
             yield str(prim.GetPath())
-    known = {DEGREE, SPACE, "extent", "visibility", "xformOpOrder", *FIELDS, *(name + "h" for name in FIELDS)}
+    known = {DEGREE, SPACE, "extent", "visibility", "purpose", "xformOpOrder", *FIELDS, *(f + "h" for f in FIELDS)}
     names = {each.GetName() for prim in shown for each in prim.GetAuthoredAttributes()}
     yield from sorted(name for name in names - known if not name.startswith("xformOp:"))
 
@@ -129,7 +127,7 @@ def _outside(path: Path) -> set[str]:
         layer = Sdf.Layer.FindOrOpen(waiting.pop())
         for name in layer.GetCompositionAssetDependencies() if layer else ():
             inside = name.removeprefix("./")
-            if inside not in names:
+            if name and inside not in names:  # an empty one is the layer itself
                 outside.add(name)
             elif inside not in seen:
                 seen.add(inside)

@@ -21,13 +21,12 @@ import numpy.typing as npt
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
 from engine.extras import load_extra
-from engine.formats.gltf.nodes import as_similarity
+from engine.formats.gltf.nodes import placed
 from engine.formats.guards import check_count
 from engine.formats.ply.extras import named
 from engine.formats.repairs import Repair, clean, degree_dropped
 from engine.formats.usd.process import DEGREE, FIELDS, OTHERS, SECONDS, SH
-from engine.model import GaussianModel, joined
-from engine.numerics.similarity import transform_model
+from engine.model import GaussianModel
 
 _PARTS = ("name", DEGREE, "matrix", *FIELDS)
 _COMMAND = (sys.executable, "-P", "-m", "engine.formats.usd.process")
@@ -63,14 +62,11 @@ def read_usd(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
         raise UnsupportedFormatError(str(error), file=file) from None
     found = _opened(data, file)
     others = found.pop(OTHERS).tolist()
-    parts: list[GaussianModel] = []
     text = f"what is no Gaussian of the scene was ignored: {named(others)}"
     repairs = [Repair("extra_usd", len(others), text)] if others else []
-    for number in range(len({key.partition("/")[0] for key in found})):
-        part, mended = _read_prim({key: found[f"{number}/{key}"] for key in _PARTS}, len(data), file)
-        parts.append(part)
-        repairs += mended
-    return joined(parts), tuple(repairs)
+    prims = ({key: found[f"{k}/{key}"] for key in _PARTS} for k in range(len({key.partition("/")[0] for key in found})))
+    model, mended = placed(((*_read_prim(prim, len(data), file), prim["matrix"]) for prim in prims), file=file)
+    return model, (*repairs, *mended)
 
 
 def write_usd(model: GaussianModel, kind: str) -> bytes:
@@ -134,16 +130,14 @@ def _read_prim(found: Mapping[str, npt.NDArray[Any]], size: int, file: str) -> t
     if not 0 <= degree <= 4:
         raise UnsupportedFormatError(f"is {found[DEGREE]!s:.20}, read is 0 to 4", file=file, element=name, prop=DEGREE)
     whole = (degree + 1) ** 2
-    if len(found[SH]) < count * whole:
+    if len(found[SH]) != count * whole:
         message = f"has {len(found[SH])} coefficients for {count} Gaussians of degree {degree}"
         raise FormatError(message, file=file, element=name, prop=SH)
-    sh = found[SH][: count * whole].reshape(count, whole, 3)[:, : min(whole, 16)]
+    sh = found[SH].reshape(count, whole, 3)[:, : min(whole, 16)]
     opacities = found["opacities"][:, 0].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):  # 0 and 1 are mended, what lies outside is a fault
         log_scales = np.log(found["scales"])
         logits = np.log(opacities) - np.log1p(-opacities)
     quats = found["orientations"][:, [3, 0, 1, 2]]
     model, mended = clean(found["positions"], log_scales, quats, logits, sh, file=file, element=name)
-    if (found["matrix"] != np.eye(4)).any():
-        model = transform_model(model, *as_similarity(found["matrix"], file=file))
     return model, [*((degree_dropped(degree, count),) if degree > 3 else ()), *mended]
