@@ -124,12 +124,12 @@ _KINDS = (
         lambda data: b"\0" not in data[:_HEAD] and _MESH_TEXT.search(data[:_HEAD]) is not None,
         (".obj", ".fbx", ".stl", ".dae", ".blend", ".3ds", ".off"),
     ),
-    _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
     _Other(
         "is a picture, no model: verify alone takes one",
         (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*"),
-        lambda data: data[8:12] == b"WEBP" or _boxed(b"avif", b"avis")(data),
+        lambda data: data[8:12] == b"WEBP" or (_boxed()(data) and b"avif" in data[8:32]),
     ),
+    _Other("is a HEIC photo: save it as JPEG or PNG", holds=_boxed(*_HEIC)),
     _Other(
         "is a picture of a kind that is not read (JPEG 2000, JPEG XL, JPEG XR, PSD, SVG, EXR, HDR, TGA, KTX and the"
         " like): save it as PNG or JPEG, as it is displayed",
