@@ -212,7 +212,7 @@ def test_instances_are_shown_where_they_stand() -> None:
 @pytest.mark.parametrize(("purpose", "shown"), [("render", True), ("proxy", False), ("guide", False)])
 def test_what_stands_in_for_a_scene_is_not_shown_with_it(purpose: str, shown: bool) -> None:
     other = scene().replace(b"#usda 1.0", b"").replace(b'"World"', b'"Other"')
-    other = other.replace(b"{", b'{\n    uniform token purpose = "%s"' % purpose.encode(), 1)
+    other = other.replace(b"{", b'{\n    uniform token purpose = "%s"' % purpose.encode(), 2)  # the Gaussians', too
     loaded = read_model(scene() + other)
     assert len(loaded.model) == 2 + 2 * shown
     assert [each.count for each in loaded.repairs] == [1] * (not shown)
