@@ -150,7 +150,7 @@ def _losses(model: GaussianModel, kind: Kind) -> Iterator[str]:
         levels = 255 * SH_C0 * np.abs(kind.colors(model) - model.sh[:, 0]).max(axis=1)
         rows = np.flatnonzero(levels > VISIBLE_LEVELS)
         if len(rows):
-            most = f"up to {levels[rows].max():.0f} of 255 levels: a neighbor is far brighter or darker than colors are"
+            most = f"up to {levels[rows].max():.0f} of 255 levels: another color in the same chunk is extreme"
             yield f"{_counted(model, rows)}: .{kind.name} rounds their colors by {most}"
 
 

@@ -113,7 +113,7 @@ _KINDS = (
     ),
     _Other("is a pointer of git-lfs, not the file itself: fetch it (git lfs pull)", (b"version https://git-lfs",)),
     _Other(
-        f"is a point cloud, {_NO_MODEL}; verify also takes one with colors, saved as .ply",
+        f"is a point cloud, {_NO_MODEL}; verify also accepts colored ones as .ply",
         (b"LASF", b"ASTM-E57", b"# .PCD", b"VERSION .7"),
         endings=(".las", ".laz", ".e57", ".pcd", ".xyz", ".pts", ".ptx", "points3d.bin", "points3d.txt"),
     ),
@@ -125,7 +125,7 @@ _KINDS = (
         (".obj", ".fbx", ".stl", ".dae", ".blend", ".3ds", ".off"),
     ),
     _Other(
-        "is a picture, no model: verify alone takes one",
+        "is a picture, not a model: only verify accepts pictures",
         (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*"),
         lambda data: data[8:12] == b"WEBP" or (_boxed()(data) and b"avif" in data[8:32]),
     ),

@@ -65,8 +65,8 @@ def test_other_formats_are_refused_by_name() -> None:
         (b"<!DOCTYPE html><title>404</title>" + b" " * 5000, "is a web page"),
         (b"version https://git-lfs.github.com/spec/v1\nsize 9\n", "git lfs pull"),
         (b'{"error": "not found"}', "is text, no model"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(5000), "is a picture, no model"),
-        (b"\0\0\0\x20ftypmif1\0\0\0\0mif1avif" + bytes(5000), "is a picture, no model"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(5000), "is a picture, not a model"),
+        (b"\0\0\0\x20ftypmif1\0\0\0\0mif1avif" + bytes(5000), "is a picture, not a model"),
         (b"\n" + TRAIN.read_bytes(), "begins like a PLY"),
     ],
 )

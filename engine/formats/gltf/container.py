@@ -93,7 +93,7 @@ class Asset:
         """
         accessor, element = self.row("accessors", index), f"accessor {index}"
         if "sparse" in accessor or "bufferView" not in accessor:
-            message = "is sparse, or zeros without bytes, which is not read: export it as .ply or .spz"
+            message = "is sparse or has no bufferView, which is not read: export it as .ply or .spz"
             raise UnsupportedFormatError(message, file=self.file, element=element, prop=prop)
         code, kind = accessor.get("componentType"), accessor.get("type")
         width = _WIDTHS.get(str(kind))
