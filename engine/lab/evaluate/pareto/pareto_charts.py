@@ -159,7 +159,7 @@ def _beside(axes: Axes, rows: Sequence[Row], others: Sequence[Peer], machine: st
 
 
 def _published(axes: Axes, rows: Sequence[Row], others: Sequence[Peer], cost: Callable[[Peer], float | None]) -> None:
-    label_line(axes, z_threshold(CHANCE_RATE), "claim at 1 in 10^9")
+    label_line(axes, z_threshold(CHANCE_RATE), "1 in 10^9 by chance")
     for number, peer in enumerate(others, start=1):
         if (x := cost(peer)) is not None:
             color = FAINT if outdone(peer, rows) else INK
